@@ -57,6 +57,8 @@ _NEAR = 1
 _CLOSE, _ROUGHLY = 1e-5, 1e-3
 """Change of the coordinates at which to stop: a hundredth of the errors from noise, or about them.
 """
+_FARTHEST = 1.0
+"""Load [EI/L, EI/L²], unless those of the series range farther, by which a step leads astray."""
 _AVERAGE = 0.04
 """[s] over which the first guess is averaged."""
 _MEDIAN = 9
@@ -108,15 +110,18 @@ def first_guess(
 def fitted(fit: Fit, *, local: bool = True, most_steps: int = _ROUGH_STEPS) -> Fit:
     """Gauss-Newton with robust weights; the intensities are estimated once it is close."""
     close, rough = _CLOSE if most_steps > _ROUGH_STEPS else _ROUGHLY, True
+    farthest = max(_FARTHEST, float(np.ptp(fit.linear.x[:, :LOADS], axis=0).max()))
     for iteration in range(most_steps):
         if iteration == _NEAR:
             fit = most_probable(fit, local=local)
         rough = rough and iteration < most_steps - 1
-        fit = fit._replace(states=smoothed_states(fit, steps_of(fit), rough=rough))
+        before, fit = fit, fit._replace(states=smoothed_states(fit, steps_of(fit), rough=rough))
         new = _coordinates(fit.states)
         change = float(np.abs(new - fit.linear.x).max())
         if not np.isfinite(change):
             raise NoMotionError
+        if not local and iteration > 0 and change > farthest:
+            return before.about(before.linear)
         fit = _stepped(fit, new)
         fit = fit._replace(weight=_robust(squared_residuals(fit)))
         if change < close and not rough:

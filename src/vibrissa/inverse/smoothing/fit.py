@@ -108,7 +108,10 @@ def first_guess(
 
 
 def fitted(fit: Fit, *, local: bool = True, most_steps: int = _ROUGH_STEPS) -> Fit:
-    """Gauss-Newton with robust weights; the intensities are estimated once it is close."""
+    """Gauss-Newton with robust weights; the intensities are estimated once it is close. Where paces
+    are not local, as in the first fit, which tells the zero's drift, a step that leads astray is
+    not taken: the drift would follow it, and samples at rest would then count as loaded.
+    """
     close, rough = _CLOSE if most_steps > _ROUGH_STEPS else _ROUGHLY, True
     farthest = max(_FARTHEST, float(np.ptp(fit.linear.x[:, :LOADS], axis=0).max()))
     for iteration in range(most_steps):

@@ -433,7 +433,8 @@ def _probable(setting: Setting, sample: Sample) -> _Probable:
         contact._replace(reach=_within_reach(contact.reach)),
         deviation,
         slopes._replace(single=couple / jnp.sqrt(couple @ covariance @ couple)),
-        jnp.any(wrench != single),
+        # By more than rounding, which puts contacts right at the tip on either side of it.
+        jnp.max(jnp.abs(wrench - single)) > _RESOLVED * jnp.max(jnp.abs(wrench)),
         off_straight,
     )
 

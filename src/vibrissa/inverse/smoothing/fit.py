@@ -57,8 +57,8 @@ _NEAR = 1
 _CLOSE, _ROUGHLY = 1e-5, 1e-3
 """Change of the coordinates at which to stop: a hundredth of the errors from noise, or about them.
 """
-_FARTHEST = 1.0
-"""Load [EI/L, EI/L²], unless those of the series range farther, by which a step leads astray."""
+_FARTHEST = 0.5
+"""The least that counts as far [EI/L, EI/L²]: weak loads range no farther than their noise."""
 _AVERAGE = 0.04
 """[s] over which the first guess is averaged."""
 _MEDIAN = 9
@@ -108,29 +108,32 @@ def first_guess(
 
 
 def fitted(fit: Fit, *, local: bool = True, most_steps: int = _ROUGH_STEPS) -> Fit:
-    """Gauss-Newton with robust weights; the intensities are estimated once it is close. Where paces
-    are not local, as in the first fit, which tells the zero's drift, a step that leads astray is
-    not taken: the drift would follow it, and samples at rest would then count as loaded.
-    """
+    """Gauss-Newton with robust weights; the intensities are estimated once it is close."""
     close, rough = _CLOSE if most_steps > _ROUGH_STEPS else _ROUGHLY, True
-    farthest = max(_FARTHEST, float(np.ptp(fit.linear.x[:, :LOADS], axis=0).max()))
     for iteration in range(most_steps):
         if iteration == _NEAR:
             fit = most_probable(fit, local=local)
         rough = rough and iteration < most_steps - 1
-        before, fit = fit, fit._replace(states=smoothed_states(fit, steps_of(fit), rough=rough))
+        fit = fit._replace(states=smoothed_states(fit, steps_of(fit), rough=rough))
         new = _coordinates(fit.states)
         change = float(np.abs(new - fit.linear.x).max())
         if not np.isfinite(change):
             raise NoMotionError
-        if not local and iteration > 0 and change > farthest:
-            return before.about(before.linear)
         fit = _stepped(fit, new)
         fit = fit._replace(weight=_robust(squared_residuals(fit)))
         if change < close and not rough:
             break
         rough = rough and (iteration <= _NEAR or change > _ROUGHLY)
     return fit.about(fit.linear)
+
+
+def led_astray(fit: Fit, guess: Fit) -> bool:
+    """Whether a load is farther from that of the first guess than half the range of all: what such
+    a fit says of the zero's drift would make samples at rest count as loaded.
+    """
+    away = np.abs(fit.states.mean[:, PLACE][:, :LOADS] - guess.linear.x[:, :LOADS]).max(axis=0)
+    within = np.ptp(guess.linear.x[:, :LOADS], axis=0) / 2
+    return bool(np.any(away > np.maximum(within, _FARTHEST)))
 
 
 def _coordinates(states: States) -> Coordinates:

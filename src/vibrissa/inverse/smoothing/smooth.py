@@ -19,7 +19,14 @@ from vibrissa.inverse.shared import with_shared
 from vibrissa.inverse.smoothing.branches import branch_of
 from vibrissa.inverse.smoothing.changes import drawn, reversed_fit, with_onset, with_phases
 from vibrissa.inverse.smoothing.estimate import by_itself, contacts_of
-from vibrissa.inverse.smoothing.fit import MOST_STEPS, as_flank, averaged, first_guess, fitted
+from vibrissa.inverse.smoothing.fit import (
+    MOST_STEPS,
+    as_flank,
+    averaged,
+    first_guess,
+    fitted,
+    led_astray,
+)
 from vibrissa.inverse.smoothing.kalman import INTENSITIES, WRENCH, Gaussian
 from vibrissa.inverse.smoothing.manifold import smoothed_model
 from vibrissa.inverse.smoothing.model import (
@@ -207,11 +214,15 @@ def _smoothed_segment(
     rod = smoothed_model(found.rod)
     series = series_of(found, time, rod, near)
     spread = incidence_spread_of(found.friction, found.reactions.setup_errors)
-    fit = fitted(first_guess(rod, series, zero, false_alarm, spread), local=False)
+    first = first_guess(rod, series, zero, false_alarm, spread)
+    fit = fitted(first, local=False)
     stages.end_one()
-    # Again, now that the drift of the zero is known.
-    guess = first_guess(rod, series, fit.states.zero, false_alarm, spread)
-    fit = fit._replace(labels=guess.labels, linear=guess.linear)
+    if led_astray(fit, first):
+        fit = first
+    else:
+        # Again, now that the drift of the zero is known.
+        guess = first_guess(rod, series, fit.states.zero, false_alarm, spread)
+        fit = fit._replace(labels=guess.labels, linear=guess.linear)
     fit = fitted(fit._replace(labels=with_snaps(fit)))
     stages.end_one()
     # So that tangential contact is not taken for a jump.

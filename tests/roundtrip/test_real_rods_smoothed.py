@@ -82,7 +82,13 @@ def distances(found: vb.Reconstruction, scan: vb.Scan, rows: np.ndarray) -> np.n
     return np.einsum("ni,nij,nj->n", error, np.linalg.inv(found.covariance[rows]), error)
 
 
-@pytest.mark.parametrize("name", SWEEPS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("tapered", "curved"),
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("heavy", "soft")),
+    ],
+)
 def test_points_are_better_than_raw_ones_and_within_their_ellipsoids(name: str) -> None:
     scan, found = swept(name)
     smooth, rows = vb.smooth(found), inner(scan)

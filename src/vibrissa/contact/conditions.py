@@ -53,14 +53,15 @@ def touching(
     clamp: Clamp,
     before: Reached | None = None,
     side: Vector | None = None,
+    near: Scalar | None = None,
 ) -> Touching:
     """Evaluate the conditions of contact.
 
     `before` is what the previous position reached, for friction; `side` is r there: a rod pushed
-    along its own axis stays in that plane.
+    along its own axis stays in that plane. `near` is as in `RodModel.bent`.
     """
     push = law.push(scene, state)
-    bent = scene.rod.bent(clamp, state.point, state.force, push.direction, state.own, side)
+    bent = scene.rod.bent(clamp, state.point, state.force, push.direction, state.own, side, near)
     tangent = scene.rod.tangent(bent)
     left, away = 1 - bent.arc_length, law.away(bent, tangent, push.normal)
     if scene.slims:

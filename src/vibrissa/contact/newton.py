@@ -61,7 +61,7 @@ def step_from(
     conditions: Callable[[Unknowns], tuple[Unknowns, Told]],
     x: Unknowns,
     *,
-    slopes: Callable[[Unknowns], Float[Array, "unknowns unknowns"]] | None = None,
+    slopes: Callable[[Unknowns, Told], Float[Array, "unknowns unknowns"]] | None = None,
     cautious: bool = False,
 ) -> tuple[Step, Told]:
     """Semi-smooth Newton step; the contact point x[:3] moves by at most 0.3 L.
@@ -69,8 +69,8 @@ def step_from(
     A cautious step is at most 0.2 L long, and is taken even where a singular Jacobian leaves the
     state open: such a state is then no root.
 
-    `conditions` returns the residual, and whatever else is wanted at x; `slopes` its Jacobian or
-    nearly so, by default exact derivatives.
+    `conditions` returns the residual, and whatever else is wanted at x; `slopes`, given both x and
+    that, its Jacobian or nearly so, by default exact derivatives.
     """
 
     def both(x: Unknowns) -> tuple[Unknowns, tuple[Unknowns, Told]]:
@@ -80,7 +80,8 @@ def step_from(
     if slopes is None:
         jacobian, (residual, told) = jax.jacfwd(both, has_aux=True)(x)
     else:
-        jacobian, (residual, told) = slopes(x), conditions(x)
+        residual, told = conditions(x)
+        jacobian = slopes(x, told)
     step, determinant = solved_linear(jacobian, residual)
     distance = jnp.sqrt(jnp.sum(step[:3] ** 2))
     longest = _CAUTIOUS_STEP if cautious else _LONGEST_STEP
@@ -91,18 +92,14 @@ def step_from(
 
 
 def differences(
-    residual: Callable[[Unknowns], Unknowns],
-) -> Callable[[Unknowns], Float[Array, "unknowns unknowns"]]:
+    residual: Callable[[Unknowns], Unknowns], x: Unknowns
+) -> Float[Array, "unknowns unknowns"]:
     """Jacobian to some six digits: for a spatial rod as fast as exact derivatives, and a third of
     the code to compile.
     """
-
-    def slopes(x: Unknowns) -> Float[Array, "unknowns unknowns"]:
-        changes = _DIFFERENCE * jnp.eye(len(x), len(x) + 1, 1).T
-        first, *others = lax.map(lambda change: residual(x + change), changes)
-        return (jnp.stack(others, 1) - first[:, None]) / _DIFFERENCE
-
-    return slopes
+    changes = _DIFFERENCE * jnp.eye(len(x), len(x) + 1, 1).T
+    first, *others = lax.map(lambda change: residual(x + change), changes)
+    return (jnp.stack(others, 1) - first[:, None]) / _DIFFERENCE
 
 
 def iterated(residual: Callable[[Unknowns], Unknowns], start: Unknowns) -> Unknowns:

@@ -17,7 +17,7 @@ import numpy as np
 from jax import Array, lax
 from jaxtyping import Bool, Float, Int
 
-from vibrissa.contact import Law, Reached, Scene, State, differences, step_from, touching
+from vibrissa.contact import Law, Reached, Scene, State, Touching, differences, step_from, touching
 from vibrissa.forward.path import chosen
 from vibrissa.mechanics.model import Clamp, RodModel
 from vibrissa.numerics.bracket import POINTS
@@ -25,6 +25,7 @@ from vibrissa.numerics.lanes import WIDTH, Lanes, lanes
 from vibrissa.numerics.vectors import joined
 
 Scalar = Float[Any, ""]
+Unknowns = Float[Array, "unknowns"]
 
 
 class Mode(IntEnum):
@@ -95,14 +96,14 @@ RUBBING = 1e-11
 friction, where errors in what is passed on, computed before that step, add up; on a branch it is
 the rod's own.
 """
-SHARP = 1e-13
-"""The same for an event, whose figure is computed before the last step: what rounding leaves."""
 JUMP, JUMP_FLOOR = 8.0, 0.02
-"""A contact that moves farther [L] than this many times the clamp's motion, plus a floor, has
+"""A contact that moves farther [L] than this many times the clamp's motion, plus a floor, may have
 jumped: before a smooth change of phase it may move several times as fast as the clamp.
 """
-_MISS, _MISS_FLOOR = 0.7, 0.005
-"""The same for how far it is from where it was expected, as a fraction of its own motion."""
+_MISS, _MISS_FAR, _MISS_FLOOR = 0.7, 0.35, 0.005
+"""How far it may be from where it was expected, as a fraction of its own motion, and if that is so
+far; plus a floor.
+"""
 MOST_ITERATIONS = {True: 12, False: 25}
 """On a branch, where a poor guess is better left to `follow`; and with friction, whose conditions
 have corners.
@@ -169,18 +170,26 @@ def once(
     side: Float[Any, "3"] | None,
 ) -> Solved:
     """One Newton step; everything but the state is from before the step."""
+    rod, rough = scene.rod, scene.rod.slopes_of
 
-    def conditions(x: Float[Array, "unknowns"], rod: RodModel = scene.rod) -> tuple[Any, Any]:
+    def found_at(x: Unknowns, rod: RodModel, near: Scalar | None = None) -> Touching:
         own = scene._replace(rod=rod)
-        found = touching(own, law, State.of(x, rod.unknowns), clamp, before, side)
+        return touching(own, law, State.of(x, rod.unknowns), clamp, before, side, near)
+
+    def conditions(x: Unknowns) -> tuple[Unknowns, tuple[Any, ...]]:
+        found = found_at(x, rod)
         return found.residual, (found.bent.arc_length, found.tangent, found.phase, found.beyond)
 
-    rough, slopes = scene.rod.slopes_of, None
-    if rough is not None:
+    def slopes(x: Unknowns, told: tuple[Any, ...]) -> Float[Array, "unknowns unknowns"]:
+        assert rough is not None
+        if law.branch:
+            return differences(lambda x: found_at(x, rough, told[0]).residual, x)
         # Friction has corners, and at some of them contacts begin.
-        derived = differences if law.branch else jax.jacfwd
-        slopes = derived(lambda x: conditions(x, rough)[0])
-    step, (arc_length, tangent, phase, beyond) = step_from(conditions, state.flat, slopes=slopes)
+        return jax.jacfwd(lambda x: found_at(x, rough).residual)(x)
+
+    step, (arc_length, tangent, phase, beyond) = step_from(
+        conditions, state.flat, slopes=None if rough is None else slopes
+    )
     figure = step.determinant if law.branch else beyond
     reached = Reached(State.of(step.x, scene.rod.unknowns), arc_length, tangent)
     return Solved(reached, step.residual, figure, phase)
@@ -323,20 +332,20 @@ def _advance(
     ]
     side = before.state.point - come_from[0].point
     usual = tolerance_of(scene, law)
-    tolerance = jnp.where(legs.fanned, SHARP, usual)
+    tolerance = jnp.where(legs.fanned, scene.rod.sharp, usual)
     found = solved(scene, law, guess, clamp, before, side, active, tolerance)
 
     converged = found.residual <= usual
     state = found.reached.state
     moved = _length(state.point - last.state.point)
     missed = jnp.min(joined(*(_length(state.point - order[:3]) for order in foretold[:-1])))
-    tolerated = _MISS_FLOOR + _MISS * moved
+    motion = _length(joined(*(b - a for a, b in zip(come_from[0], clamp, strict=True))))
+    far = moved > JUMP_FLOOR + JUMP * motion
+    tolerated = _MISS_FLOOR + jnp.where(far, _MISS_FAR, _MISS) * moved
     if not law.branch:
         # With friction the contact changes direction at a corner of the trail, without a jump.
         tolerated += JUMP * _clamp_miss(clamp, come_from, carry.age)
-    misses = (carry.age >= 1) & (missed > tolerated)
-    motion = _length(joined(*(b - a for a, b in zip(come_from[0], clamp, strict=True))))
-    leaps = touches & ((moved > JUMP_FLOOR + JUMP * motion) | misses)
+    leaps = touches & jnp.where(carry.age >= 1, missed > tolerated, far)
     # A contact that pulls has been lost; the solution past that point tells by how much.
     released = touches & converged & ~leaps & (state.force < 0)
     held = active & converged & ~leaps & (state.force >= 0)

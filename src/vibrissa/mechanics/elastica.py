@@ -152,6 +152,7 @@ class Elastica(RodModel):
         direction: Vector,
         own: Own = (),  # noqa: ARG002
         reached: Vector | None = None,
+        near: Scalar | None = None,  # noqa: ARG002
     ) -> Bent:
         """As in `RodModel`; the point may lie out of the rod's plane, and away along the force."""
         r, d, t0 = point - clamp.point, direction, clamp.tangent

@@ -202,7 +202,8 @@ class Kirchhoff(RodModel):
     """As in `RodModel`: even on a thin whisker, whose rougher rod gives two digits of a derivative,
     one more step leaves less than the error of the discretisation.
     """
-    lane_width: ClassVar[int] = 8
+    sharp: ClassVar[float] = 1e-11
+    lane_width: ClassVar[int] = 32
     """Rods side by side: the stages of more would leave the core's nearest cache."""
     walk_width: ClassVar[int] = 1
     """The same for Newton's method, where each would wait for the slowest."""
@@ -504,6 +505,7 @@ class Kirchhoff(RodModel):
         direction: Vector,
         own: Own = (),
         reached: Vector | None = None,  # noqa: ARG002
+        near: Scalar | None = None,
     ) -> Bent:
         """As in `RodModel`: the contact is where the rod comes closest to the point. Loads leave no
         force and no moment at the tip: their resultants at the clamp are the model's own unknowns.
@@ -512,7 +514,7 @@ class Kirchhoff(RodModel):
         push = Push(along, jnp.cross(r, along))
         load = own if self.loaded else None
         line = self.line(clamp, push, load)
-        inner, s = Inner(line, clamp, push), closest(line, r)
+        inner, s = Inner(line, clamp, push), closest(line, r, near)
         here = self._at(inner, s)
         first, away, tangent = across_of(here.tangent), r - here.reach, here.tangent
         misses = joined(dot(away, jnp.cross(tangent, first)), dot(away, first))

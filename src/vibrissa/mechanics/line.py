@@ -165,15 +165,17 @@ def most_zeros(values: Float[Array, "nodes"]) -> Int[Array, ""]:
     return jnp.maximum(jnp.sum(rises(values)) + (values[-1] < 0), 1)
 
 
-def closest(line: Line, r: Vector) -> Scalar:
+def closest(line: Line, r: Vector, near: Scalar | None = None) -> Scalar:
     """Arc length at which a line comes closest to a point: the first time that it comes about as
-    close as ever, since behind a contact the force may curl it up.
+    close as ever, since behind a contact the force may curl it up; a step from `near` if given.
     """
 
     def along(s: Scalar) -> Scalar:
         at, tangent = line.at(s)
         return dot(at - r, tangent)
 
+    if near is not None:
+        return near - along(near)
     gaps = line.reach - r
     distance = jnp.sqrt(jnp.sum(gaps * gaps, 1))
     near = jnp.minimum(distance[:-1], distance[1:])

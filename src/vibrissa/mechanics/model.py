@@ -144,6 +144,10 @@ class RodModel(eqx.Module):
     """Residual of the contact conditions up to which a state counts as solved."""
     last_step: ClassVar[float] = 1e-9
     """Residual from which one more Newton step, converging quadratically, leaves rounding."""
+    sharp: ClassVar[float] = 1e-13
+    """The same for an event, whose figure is computed before the last step, and up to which figures
+    count as zero: what rounding leaves, or an error far below that of the discretisation.
+    """
 
     @property
     def unknowns(self) -> int:
@@ -165,12 +169,14 @@ class RodModel(eqx.Module):
         direction: Vector,
         own: Own = (),
         reached: Vector | None = None,
+        near: Scalar | None = None,
     ) -> Bent:
         """Return the rod under a force of given magnitude and direction at a point; `own` are
         unknowns of the model itself, `unknowns` in number.
 
         `reached` is r of a previous state: a force along the clamp's axis leaves the rod in the
-        bending plane it had there; without it, in the plane of the point itself.
+        bending plane it had there; without it, in the plane of the point itself. `near` is an arc
+        length next to which the contact lies, where one is known.
         """
 
     @abstractmethod

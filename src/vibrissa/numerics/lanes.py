@@ -1,9 +1,10 @@
 """A function of one row, applied to many: pytrees in, pytrees out.
 
-Inside a kernel the last axis is the lane, one trail or one sample each, so that every operation is
-plain vector arithmetic; a block of 64 lanes keeps its intermediates in the core's nearest cache. A
-kernel takes a fixed number of blocks, so that it is compiled once for any number of rows. Many rows
-are distributed over threads; `VIBRISSA_THREADS=1` uses only one.
+Inside a kernel the last axis is the lane (`vibrissa.numerics.trailing`), one trail or one sample
+each, so that every operation is plain vector arithmetic; a block of 64 lanes keeps its
+intermediates in the core's nearest cache. A kernel takes a fixed number of blocks, so that it is
+compiled once for any number of rows. Many rows are distributed over threads; `VIBRISSA_THREADS=1`
+uses only one.
 
 A few rows are quicker one after another, and so is any number where each goes its own way through
 much code: side by side every lane waits for the others, and code for lanes takes twice as long to
@@ -27,6 +28,7 @@ import numpy as np
 from jax import Array, lax
 
 from vibrissa.numerics.compiled import compiled, telling, uncollected
+from vibrissa.numerics.trailing import trailing
 
 Shared = TypeVar("Shared")
 Row = TypeVar("Row")
@@ -207,11 +209,7 @@ class Lanes(Generic[Shared, Row]):
         return self._of_width[width]
 
     def _blocked(self, width: int) -> Callable[..., Any]:
-        def block(shared: Shared, *rows: Any) -> Any:
-            axes = (None, *(-1,) * len(rows))
-            return jax.vmap(self._one, in_axes=axes, out_axes=-1)(shared, *rows)
-
-        return self._compiled(block, width, self._blocks)
+        return self._compiled(trailing(self._one, width), width, self._blocks)
 
     def _compiled(
         self, of_block: Callable[..., Any], width: int, blocks: int

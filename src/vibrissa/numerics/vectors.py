@@ -1,14 +1,8 @@
-"""Vector operations in kernels, as sums and selections along an axis, which compile to plain loops
-over lanes.
-
-Over many lanes, `jnp.dot`, `jnp.stack` and `jnp.concatenate` become 3×3 matrix products and
-transpositions: a Newton step then takes twice as long.
+"""Vector operations in kernels, as sums along an axis, which compile to plain loops over lanes:
+`jnp.dot` becomes a matrix product for each of many lanes.
 """
 
-from functools import reduce
-
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 from jaxtyping import Float
 
@@ -22,8 +16,4 @@ def dot(a: Float[AnyArray, "*n k"], b: Float[AnyArray, "*m k"]) -> Float[Array, 
 
 def joined(*parts: Float[AnyArray, "..."]) -> Float[Array, "k"]:
     """Scalars and vectors joined into one vector."""
-    scalars = [scalar for part in parts for scalar in (part if jnp.ndim(part) else [part])]
-    places = np.arange(len(scalars))
-    return reduce(
-        lambda later, at: jnp.where(places == at, scalars[at], later), places[-2::-1], scalars[-1]
-    )
+    return jnp.concatenate([jnp.atleast_1d(part) for part in parts])

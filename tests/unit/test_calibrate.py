@@ -379,7 +379,7 @@ def _bad(noisy: vb.Sensor) -> dict:
         time=tip.time[:REST],
     )
     rng = np.random.default_rng(0)
-    untared = replace(noisy, tare_seconds=0.0)
+    untared, tared = replace(noisy, tare_seconds=0.0), noisy.reactions(rows[0])
     return {
         "unknown name": (
             rows,
@@ -438,6 +438,12 @@ def _bad(noisy: vb.Sensor) -> dict:
             {},
             "recordings[0]: the force changes within tare_seconds = 1.5",
         ),
+        "a zero left in": (
+            [replace(tared, force=tared.force + [0.03, 0.0, -0.04])],
+            truth,
+            {},
+            "recordings[0]: the force is 50 mN throughout tare_seconds = 1.5; allowed are reactions less",
+        ),
         "no rest": (
             [untared.measure(late, rng)],
             replace(truth, sensor=untared),
@@ -453,7 +459,7 @@ def _bad(noisy: vb.Sensor) -> dict:
     }
 
 
-_NO_FIT = {"no contact", "no rest", "a tare in contact", "another object"}
+_NO_FIT = {"no contact", "no rest", "a tare in contact", "a zero left in", "another object"}
 
 
 @pytest.mark.usefixtures("no_shape_checks")

@@ -192,3 +192,26 @@ def test_expected_error_with_tolerances() -> None:
     # Poses that come late by one deviation are off by the way of the clamp.
     np.testing.assert_allclose(delay, np.tile([-0.02 * 5e-3, 0, 0], (5, 1)), rtol=1e-6, atol=1e-12)
     assert np.all(whole.root_mean_square > 3 * alone.root_mean_square)
+
+
+def test_rounding_does_not_decide_what_moves_a_contact_at_the_tip() -> None:
+    """Moments larger or smaller by 1e-12 put s₁ on either side of the tip."""
+    line = vb.Trail.line(start=(0.04, 0.01, 0), stop=(-0.04, 0.01, 0), count=41)
+    scan = vb.scan(ROD, vb.surfaces.Sphere(center=(0, 0, 0.065), radius=0.03), line)
+    tips = scan.kind == vb.ContactKind.TIP
+    assert tips.sum() > 5
+    tolerated = SENSOR.setup_errors(replace(TOLERANCES, pose_delay=0.0))
+    less, more = (
+        vb.reconstruct(
+            ROD,
+            replace(
+                scan.reactions,
+                moment=factor * scan.reactions.moment,
+                covariance=np.diag([4e-6] * 3 + [1e-9] * 3),
+                setup_errors=tolerated,
+                time=np.arange(len(tips)) / RATE,
+            ),
+        )
+        for factor in (1 - 1e-12, 1 + 1e-12)
+    )
+    np.testing.assert_allclose(less.covariance[tips], more.covariance[tips], rtol=1e-5, atol=1e-12)

@@ -59,28 +59,14 @@ def located(
     before, after = (indicated(end)[:, 0] for end in ends)
     # With friction a state depends on its history; a branch has no memory.
     start = either(law.branch & (np.abs(after) < np.abs(before)), high, low)
-    least = np.fmin(np.abs(before), np.abs(after))
-
-    def nearer(places: Place, values: Float[np.ndarray, "j n"], row: Int[np.ndarray, "j"]) -> None:
-        """Go on from the best of some places, where that is better than what is known."""
-        size = np.where(np.isfinite(values), np.abs(values), np.inf)
-        best = np.argmin(size, axis=1)
-        better = np.flatnonzero(size[np.arange(len(row)), best] < least[row])
-        least[row[better]] = size[better, best[better]]
-        for whole, part in zip(jax.tree.leaves(start), jax.tree.leaves(places), strict=True):
-            whole[row[better]] = part[better, best[better]]
 
     def value(
         fraction: Float[np.ndarray, "j n"], row: Int[np.ndarray, "j"]
     ) -> Float[np.ndarray, "j n"]:
         way, begin = chosen((stretches, start), row)
-        places, _ = stepped(scene, law, way, begin, fraction)
-        values = indicated(places, row)
-        if law.branch:
-            nearer(places, values, row)
-        return values
+        return indicated(stepped(scene, law, way, begin, fraction)[0], row)
 
-    fraction = roots(value, (low.fraction, high.fraction), (before, after), zero=scene.rod.sharp)
+    fraction = roots(value, (low.fraction, high.fraction), (before, after))
     found = chosen(stepped(scene, law, stretches, start, fraction[:, None])[0], np.s_[:, 0])
     # Where such a step does not converge, as next to a contact that jumps or when the rod comes to
     # lie along a face, interpolate linearly between the ends.

@@ -96,6 +96,8 @@ RUBBING = 1e-11
 friction, where errors in what is passed on, computed before that step, add up; on a branch it is
 the rod's own.
 """
+SHARP = 1e-13
+"""The same for an event, whose figure is computed before the last step: what rounding leaves."""
 JUMP, JUMP_FLOOR = 8.0, 0.02
 """A contact that moves farther [L] than this many times the clamp's motion, plus a floor, may have
 jumped: before a smooth change of phase it may move several times as fast as the clamp.
@@ -332,7 +334,7 @@ def _advance(
     ]
     side = before.state.point - come_from[0].point
     usual = tolerance_of(scene, law)
-    tolerance = jnp.where(legs.fanned, scene.rod.sharp, usual)
+    tolerance = jnp.where(legs.fanned, SHARP, usual)
     found = solved(scene, law, guess, clamp, before, side, active, tolerance)
 
     converged = found.residual <= usual

@@ -23,7 +23,7 @@ from vibrissa.forward.assess import (
     deepest,
     levels,
 )
-from vibrissa.forward.march import from_seeds, solved
+from vibrissa.forward.march import SHARP, from_seeds, solved
 from vibrissa.forward.path import chosen
 from vibrissa.mechanics.model import Bent, Clamp
 from vibrissa.numerics.lanes import AnyArray, lanes
@@ -189,7 +189,7 @@ def _held_by(
 @lanes(width=1, blocks=256)
 def _held(scene: Scene, seed: State, clamp: Clamp, law: Held) -> tuple[Solutions, _Assessed]:
     always = jnp.ones((), dtype=bool)
-    found = solved(scene, law, seed, clamp, None, None, always, jnp.asarray(scene.rod.sharp))
+    found = solved(scene, law, seed, clamp, None, None, always, jnp.asarray(SHARP))
     state = found.reached.state
     solutions = Solutions(state, found.figure, found.residual)
     return solutions, assessment(scene, state, clamp, law)

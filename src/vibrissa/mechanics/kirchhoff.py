@@ -202,7 +202,6 @@ class Kirchhoff(RodModel):
     """As in `RodModel`: even on a thin whisker, whose rougher rod gives two digits of a derivative,
     one more step leaves less than the error of the discretisation.
     """
-    sharp: ClassVar[float] = 1e-11
     lane_width: ClassVar[int] = 32
     """Rods side by side: the stages of more would leave the core's nearest cache."""
     walk_width: ClassVar[int] = 1

@@ -144,10 +144,6 @@ class RodModel(eqx.Module):
     """Residual of the contact conditions up to which a state counts as solved."""
     last_step: ClassVar[float] = 1e-9
     """Residual from which one more Newton step, converging quadratically, leaves rounding."""
-    sharp: ClassVar[float] = 1e-13
-    """The same for an event, whose figure is computed before the last step, and up to which figures
-    count as zero: what rounding leaves, or an error far below that of the discretisation.
-    """
 
     @property
     def unknowns(self) -> int:

@@ -23,12 +23,10 @@ def roots(
     function: Callable[[Float[np.ndarray, "j n"], Int[np.ndarray, "j"]], Float[np.ndarray, "j n"]],
     ends: tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]],
     values: tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]],
-    *,
-    zero: float = _LEAST_VALUE,
 ) -> Float[np.ndarray, "k"]:
     """Roots of functions of (arguments, rows), each between two ends with known values of opposite
-    sign, up to values that count as `zero`. Where rounding has left both ends with the same sign,
-    or the function is not finite in between, the known point nearest to zero.
+    sign. Where rounding has left both ends with the same sign, or the function is not finite in
+    between, the known point nearest to zero.
 
     Notes
     -----
@@ -38,7 +36,7 @@ def roots(
     """
     end, at_end = np.stack(ends, axis=1), np.stack(values, axis=1)
     known, value = (_outside(part, _NEAREST - 1) for part in (end, at_end))
-    small = np.maximum(_VALUE * np.abs(at_end).max(axis=1), zero)
+    small = np.maximum(_VALUE * np.abs(at_end).max(axis=1), _LEAST_VALUE)
     even = np.ones(len(end), dtype=bool)
     left = np.flatnonzero(at_end[:, 0] * at_end[:, 1] < 0)
     for _ in range(_MOST_ROUNDS):

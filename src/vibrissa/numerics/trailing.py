@@ -18,6 +18,10 @@ from jax.extend.core import Literal
 Flags: TypeAlias = list[bool]
 """Which of several arrays have lanes."""
 Values: TypeAlias = list[Any]
+Rule: TypeAlias = Callable[[Any, Values, Flags, int], tuple[Values, Flags]]
+"""An equation, its arguments, and which of them have lanes, with how many lanes there are; its
+results, and which of them have lanes.
+"""
 
 _ALIKE = """
 abs acos acosh add add_any and asin asinh atan atan2 atanh cbrt ceil clamp convert_element_type copy
@@ -35,8 +39,9 @@ _JOINING = "concatenate stack"
 
 
 def trailing(function: Callable[..., Any], size: int) -> Callable[..., Any]:
-    """The function of shared arguments and of one row's, applied to rows that are the last axis of
-    every array, in and out.
+    """The function of shared arguments and of one row's, applied to `size` rows.
+
+    Takes the shared arguments as they are and rows' arrays (…, size); returns arrays (…, size).
     """
 
     def applied(shared: Any, *rows: Any) -> Any:
@@ -74,7 +79,8 @@ def _evaluated(closed: Any, values: Values, flags: Flags, size: int) -> tuple[Va
     for eqn in jaxpr.eqns:
         given, has = read(eqn.invars)
         if any(has):
-            found, now = _RULES.get(eqn.primitive.name, _other)(eqn, given, has, size)  # type: ignore[no-untyped-call]
+            rule: Rule = _RULES.get(eqn.primitive.name, _other)
+            found, now = rule(eqn, given, has, size)
         else:
             found = _bound(eqn, given)
             now = [False] * len(found)
@@ -103,9 +109,6 @@ def _marked(jaxpr: Any, flags: Flags) -> Flags:
     return list(map(has, jaxpr.outvars))
 
 
-# Rules: an equation, its arguments, and which of them have lanes; results, and which have.
-
-
 def _other(eqn: Any, values: Values, flags: Flags, size: int) -> tuple[Values, Flags]:
     """Whatever else: as `jax.vmap` does it."""
     axes = [-1 if has else None for has in flags]
@@ -125,7 +128,7 @@ def _alike(eqn: Any, values: Values, flags: Flags, size: int) -> tuple[Values, F
     return _bound(eqn, whole), [True]
 
 
-def _along(eqn: Any, values: Values, flags: Flags, size: int) -> tuple[Values, Flags]:  # noqa: ARG001
+def _along(eqn: Any, values: Values, *_: Any) -> tuple[Values, Flags]:
     found = _bound(eqn, values)
     return found, [True] * len(found)
 
@@ -135,25 +138,25 @@ def _joining(eqn: Any, values: Values, flags: Flags, size: int) -> tuple[Values,
     return _bound(eqn, whole), [True]
 
 
-def _barrier(eqn: Any, values: Values, flags: Flags, size: int) -> tuple[Values, Flags]:  # noqa: ARG001
+def _barrier(eqn: Any, values: Values, flags: Flags, _: int) -> tuple[Values, Flags]:
     return _bound(eqn, values), flags
 
 
-def _broadcast(eqn: Any, values: Values, flags: Flags, size: int) -> tuple[Values, Flags]:  # noqa: ARG001
+def _broadcast(eqn: Any, values: Values, _: Flags, size: int) -> tuple[Values, Flags]:
     shape, axes = (eqn.params[name] for name in ("shape", "broadcast_dimensions"))
     return [lax.broadcast_in_dim(values[0], (*shape, size), (*axes, len(shape)))], [True]
 
 
-def _reshape(eqn: Any, values: Values, flags: Flags, size: int) -> tuple[Values, Flags]:  # noqa: ARG001
+def _reshape(eqn: Any, values: Values, _: Flags, size: int) -> tuple[Values, Flags]:
     return [lax.reshape(values[0], (*eqn.params["new_sizes"], size))], [True]
 
 
-def _transpose(eqn: Any, values: Values, flags: Flags, size: int) -> tuple[Values, Flags]:  # noqa: ARG001
+def _transpose(eqn: Any, values: Values, *_: Any) -> tuple[Values, Flags]:
     order = eqn.params["permutation"]
     return [lax.transpose(values[0], (*order, len(order)))], [True]
 
 
-def _slice(eqn: Any, values: Values, flags: Flags, size: int) -> tuple[Values, Flags]:  # noqa: ARG001
+def _slice(eqn: Any, values: Values, _: Flags, size: int) -> tuple[Values, Flags]:
     first, last, step = (eqn.params[name] for name in ("start_indices", "limit_indices", "strides"))
     step = None if step is None else (*step, 1)
     return [lax.slice(values[0], (*first, 0), (*last, size), step)], [True]
@@ -163,7 +166,7 @@ def _dynamic_slice(eqn: Any, values: Values, flags: Flags, size: int) -> tuple[V
     if any(flags[1:]):
         return _other(eqn, values, flags, size)
     whole, *first = values
-    none = jnp.zeros_like(first[0]) if first else 0
+    none = jnp.zeros_like(first[0])
     sizes = (*eqn.params["slice_sizes"], size)
     return [lax.dynamic_slice(whole, (*first, none), sizes)], [True]
 
@@ -173,11 +176,11 @@ def _dynamic_update(eqn: Any, values: Values, flags: Flags, size: int) -> tuple[
         return _other(eqn, values, flags, size)
     whole, part = (_wide(value, has, size) for value, has in zip(values[:2], flags, strict=False))
     first = values[2:]
-    none = jnp.zeros_like(first[0]) if first else 0
+    none = jnp.zeros_like(first[0])
     return [lax.dynamic_update_slice(whole, part, (*first, none))], [True]
 
 
-def _within(name: str) -> Callable[..., tuple[Values, Flags]]:
+def _within(name: str) -> Rule:
     """Of an operation that is only a name for others."""
 
     def rule(eqn: Any, values: Values, flags: Flags, size: int) -> tuple[Values, Flags]:
@@ -208,10 +211,7 @@ def _of_scan(eqn: Any, flags: Flags) -> tuple[Flags, Flags]:
 
 def _scan(eqn: Any, values: Values, flags: Flags, size: int) -> tuple[Values, Flags]:
     carried, told = _of_scan(eqn, flags)
-    closed, (known, count) = (
-        eqn.params["jaxpr"],
-        (eqn.params[n] for n in ("num_consts", "num_carry")),
-    )
+    closed, known, count = (eqn.params[n] for n in ("jaxpr", "num_consts", "num_carry"))
     consts, start, rows = _parts(values, known, count)
     of_consts, of_start, of_rows = _parts(flags, known, count)
     start = _with(start, of_start, carried, size)
@@ -298,7 +298,7 @@ def _cond(eqn: Any, values: Values, flags: Flags, size: int) -> tuple[Values, Fl
     ], now
 
 
-_RULES: dict[str, Callable[..., tuple[Values, Flags]]] = {
+_RULES: dict[str, Rule] = {
     **dict.fromkeys(_ALIKE.split(), _alike),
     **dict.fromkeys(_ALONG.split(), _along),
     **dict.fromkeys(_JOINING.split(), _joining),

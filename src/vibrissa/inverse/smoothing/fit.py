@@ -58,7 +58,9 @@ _CLOSE, _ROUGHLY = 1e-5, 1e-3
 """Change of the coordinates at which to stop: a hundredth of the errors from noise, or about them.
 """
 _FARTHEST = 0.5
-"""The least that counts as far [EI/L, EI/L²]: weak loads range no farther than their noise."""
+"""The least that counts as far [EI/L, EI/L²]: weak loads range no farther than their noise. With
+it no sample at rest passed for a contact in 108 sweeps of an egg (1019 without).
+"""
 _AVERAGE = 0.04
 """[s] over which the first guess is averaged."""
 _MEDIAN = 9

@@ -305,3 +305,17 @@ def test_si_and_the_model_s_units_agree(turning: dict[int, vb.Scan]) -> None:
     np.testing.assert_array_equal(si.motion, model.motion)
     for field, scale in scales:
         np.testing.assert_allclose(field(si) / scale, field(model), rtol=0, atol=1e-7)
+
+
+def test_a_short_snap_is_seen_with_any_steps() -> None:
+    """The contact jumps by a tenth of the length, and hardly farther than it moved just before."""
+    ball = vb.surfaces.Ellipsoid(center=(0, 0, 1.1), semi_axes=(0.6, 0.35, 0.45))
+    start, stop = (0.5640752, -0.7317742, 0.2060256), (-0.8288144, 0.4083394, 0.2060256)
+    events = [
+        vb.scan(UNIT, ball, vb.Trail.line(start=start, stop=stop, count=count), friction=0.3).events
+        for count in (121, 241, 481, 961)
+    ]
+    kinds = ["FIRST_CONTACT", "SNAP", "STICK_TO_SLIP", "DETACH"]
+    assert [[event.kind.name for event in some] for some in events] == [kinds] * 4
+    places = np.array([[event.parameter for event in some] for some in events])
+    np.testing.assert_allclose(places, places[[-1] * 4], rtol=0, atol=5e-4)

@@ -99,13 +99,11 @@ the rod's own.
 SHARP = 1e-13
 """The same for an event, whose figure is computed before the last step: what rounding leaves."""
 JUMP, JUMP_FLOOR = 8.0, 0.02
-"""A contact that moves farther [L] than this many times the clamp's motion, plus a floor, may have
+"""A contact that moves farther [L] than this many times the clamp's motion, plus a floor, has
 jumped: before a smooth change of phase it may move several times as fast as the clamp.
 """
-_MISS, _MISS_FAR, _MISS_FLOOR = 0.7, 0.35, 0.005
-"""How far it may be from where it was expected, as a fraction of its own motion, and if that is so
-far; plus a floor.
-"""
+_MISS, _MISS_FLOOR = 0.7, 0.005
+"""The same for how far it is from where it was expected, as a fraction of its own motion."""
 MOST_ITERATIONS = {True: 12, False: 25}
 """On a branch, where a poor guess is better left to `follow`; and with friction, whose conditions
 have corners.
@@ -341,13 +339,13 @@ def _advance(
     state = found.reached.state
     moved = _length(state.point - last.state.point)
     missed = jnp.min(joined(*(_length(state.point - order[:3]) for order in foretold[:-1])))
-    motion = _length(joined(*(b - a for a, b in zip(come_from[0], clamp, strict=True))))
-    far = moved > JUMP_FLOOR + JUMP * motion
-    tolerated = _MISS_FLOOR + jnp.where(far, _MISS_FAR, _MISS) * moved
+    tolerated = _MISS_FLOOR + _MISS * moved
     if not law.branch:
         # With friction the contact changes direction at a corner of the trail, without a jump.
         tolerated += JUMP * _clamp_miss(clamp, come_from, carry.age)
-    leaps = touches & jnp.where(carry.age >= 1, missed > tolerated, far)
+    misses = (carry.age >= 1) & (missed > tolerated)
+    motion = _length(joined(*(b - a for a, b in zip(come_from[0], clamp, strict=True))))
+    leaps = touches & ((moved > JUMP_FLOOR + JUMP * motion) | misses)
     # A contact that pulls has been lost; the solution past that point tells by how much.
     released = touches & converged & ~leaps & (state.force < 0)
     held = active & converged & ~leaps & (state.force >= 0)

@@ -10,7 +10,7 @@ import platform
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache, lru_cache, wraps
 from pathlib import Path
 from typing import ParamSpec, TypeVar
@@ -22,7 +22,7 @@ Parameters = ParamSpec("Parameters")
 Result = TypeVar("Result")
 
 _LARGEST_CACHE = 512 * 2**20
-"""[bytes] about a thousand kernels; the least recently used go first."""
+"""[bytes] about a thousand kernels with a hundred small ones each; the oldest go first."""
 _PATIENCE = 1.0
 """Compile time [s] after which a message is shown on a terminal."""
 _told = threading.Lock()
@@ -48,19 +48,33 @@ def set_up_cache() -> None:
     """Keep compiled kernels in the user's cache folder, unless JAX has been given a cache already.
 
     Entries hold machine code, so each kind of processor has a folder of its own. Any number of
-    processes may share it; JAX locks it, and drops the least recently used entries.
+    processes may share it. JAX could limit its size itself, but then reads all entries under a lock
+    before it adds one: half a second with six thousand of them.
     """
     wanted = os.environ.get("VIBRISSA_CACHE", "")
     if wanted.lower() == "off" or jax.config.values["jax_compilation_cache_dir"]:
         return
-    folder = Path(wanted) if wanted else user_cache_path("vibrissa")
+    folder = (Path(wanted) if wanted else user_cache_path("vibrissa")) / _processor()
+    _shrink(folder)
     for name, value in {
-        "jax_compilation_cache_dir": str(folder / _processor()),
-        "jax_compilation_cache_max_size": _LARGEST_CACHE,
+        "jax_compilation_cache_dir": str(folder),
         "jax_persistent_cache_min_compile_time_secs": 0.0,
         "jax_persistent_cache_min_entry_size_bytes": -1,
     }.items():
         jax.config.update(name, value)  # type: ignore[no-untyped-call]
+
+
+def _shrink(folder: Path) -> None:
+    """Drop the oldest entries of a folder that has become too large."""
+    # The folder may be missing, and another process may drop entries at the same time.
+    with suppress(OSError):
+        known = [(entry.stat(), Path(entry)) for entry in os.scandir(folder)]
+        surplus = sum(told.st_size for told, _ in known) - _LARGEST_CACHE
+        for told, entry in sorted(known, key=lambda own: own[0].st_mtime):
+            if surplus <= 0:
+                break
+            entry.unlink()
+            surplus -= told.st_size
 
 
 def _processor() -> str:

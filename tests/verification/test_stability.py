@@ -183,3 +183,23 @@ def test_the_chain_converges_to_the_scan_with_second_order(scan: vb.Scan) -> Non
     ):
         orders = np.log2(np.divide(errors[:-1], errors[1:]))
         np.testing.assert_allclose(orders, 2, atol=0.2)
+
+
+def test_a_contact_that_runs_along_the_object_is_found_with_any_steps() -> None:
+    """Close to where the bending plane may turn to either side, the contact runs around the ball
+    while the clamp hardly moves; steps too long to see how it runs lead to the same places.
+    """
+    ball = vb.surfaces.Sphere(center=(0, 0, 1.15), radius=0.6)
+    way = {"start": (0.6, 0.01, 0), "stop": (-0.6, 0.01, 0)}
+    coarse, fine = (
+        vb.scan(vb.Rod.unit(), ball, vb.Trail.line(**way, count=n)) for n in (201, 3201)
+    )
+    moved = np.linalg.norm(np.diff(coarse.point, axis=0), axis=1)
+    assert np.nanmax(moved) > 0.2
+    assert np.nanmax(np.linalg.norm(np.diff(fine.point, axis=0), axis=1)) < 0.03
+    np.testing.assert_allclose(coarse.point, fine.point[::16], rtol=0, atol=1e-12)
+    kinds = ["FIRST_CONTACT", "TIP_TO_TANGENTIAL", "TANGENTIAL_TO_TIP", "DETACH"]
+    for scan in (coarse, fine):
+        assert [event.kind.name for event in scan.events] == kinds
+    places = [[event.parameter for event in scan.events] for scan in (coarse, fine)]
+    np.testing.assert_allclose(*places, rtol=0, atol=1e-13)

@@ -57,6 +57,8 @@ class Legs(NamedTuple):
     """Each position is one step from where the lane enters, and solved to rounding: trial places on
     one stretch, in search of an event.
     """
+    guarded: Bool[Any, ""]
+    """A contact that moves far, or elsewhere than expected, is lost."""
 
 
 class Steps(NamedTuple):
@@ -214,7 +216,8 @@ def entering(scene: Scene, law: Law, clamps: Clamp) -> Legs:
     shapes = (count,), (count, n)
     reached, meeting = (nowhere(scene, law, *shape, fill=0.0) for shape in shapes)
     modes, signs = np.full(count, int(Mode.CONTACT)), np.full(count, STABLE)
-    return Legs(clamps, never, never.copy(), meeting, first, modes, reached, signs, first > 0)
+    fanned, guarded = first > 0, first == 0
+    return Legs(clamps, never, never.copy(), meeting, first, modes, reached, signs, fanned, guarded)
 
 
 def march(scene: Scene, law: Law, legs: Legs) -> Steps:
@@ -345,7 +348,8 @@ def _advance(
         tolerated += JUMP * _clamp_miss(clamp, come_from, carry.age)
     misses = (carry.age >= 1) & (missed > tolerated)
     motion = _length(joined(*(b - a for a, b in zip(come_from[0], clamp, strict=True))))
-    leaps = touches & ((moved > JUMP_FLOOR + JUMP * motion) | misses)
+    jumps = moved > JUMP_FLOOR + JUMP * motion
+    leaps = legs.guarded & touches & (jumps | misses)
     # A contact that pulls has been lost; the solution past that point tells by how much.
     released = touches & converged & ~leaps & (state.force < 0)
     held = active & converged & ~leaps & (state.force >= 0)

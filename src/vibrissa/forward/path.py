@@ -133,6 +133,13 @@ def extended_back(path: Path, lanes: Int[np.ndarray, "k"], count: int) -> Path:
     return Path(way.point, way.orientation, 1)
 
 
+def divided(stretches: Stretch, count: int, more: int) -> Path:
+    """Stretches (k, …) divided into `count` parts each, and some more, as lanes of a path."""
+    ways = jax.tree.map(lambda part: part[:, None], stretches)
+    poses = ways.at(np.arange(count + more + 1)[:, None] / count)
+    return Path(poses.point, poses.orientation, 1)
+
+
 def slerp(first: AnyArray, last: AnyArray, fraction: AnyArray, xp: Any = np) -> Any:
     """Rotation at constant rate from `first` to `last` (…, 4), whose signs agree, at a fraction
     that broadcasts with their rows.

@@ -8,12 +8,13 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 
 from vibrissa.contact import Law, Reached, Scene
 from vibrissa.contacts import Status
 from vibrissa.forward.approach import (
     CLEAR,
+    Clearance,
     Meeting,
     Meetings,
     along_path,
@@ -24,13 +25,21 @@ from vibrissa.forward.events import EventKind, Happening
 from vibrissa.forward.follow import Outcome, follow
 from vibrissa.forward.locate import Indicator, Place, located
 from vibrissa.forward.march import STABLE, Mode, Steps, entering, march, nowhere
-from vibrissa.forward.path import Path, chosen, extended_back
+from vibrissa.forward.path import Path, chosen, divided, extended_back
+from vibrissa.forward.ways import Happened
+from vibrissa.geometry.rotation import lengths
 from vibrissa.numerics.progress import Tally
 
 _AT_ONCE = 1e-9
 """Fraction of a step within which events count as one, to rounding."""
 _WAY_BACK = 40
 """Steps of 0.05 L by which a lane that begins in contact is extended backwards: two rod lengths."""
+_PARTS = 32
+"""Into how many parts a stretch is divided on which the march has lost a lane."""
+_STEADY, _STEADY_FLOOR = 2.5, 0.0025
+"""There a contact moves on steadily if it moves on no part more than this many times as far as on
+those before and behind, or than this [L]: where it jumps, it is slower before or behind.
+"""
 
 
 @dataclass
@@ -45,18 +54,14 @@ class Sweep:
 def sweep(scene: Scene, path: Path, law: Law, tally: Tally) -> Sweep:
     """Equilibria at all positions of the path, which are tallied, and the events between them."""
     straight = along_path(scene, path)
-    # Where a rod has no shape of its own, nothing can be followed.
-    inside = (straight.at_clamp < 0) | ~straight.sound
-    clear = (straight.distance >= CLEAR) & ~inside
-    meetings = first_meetings(scene, path, clear, straight.distance)
-    walk = _Walk(scene, path, law, clear, inside, meetings, tally)
+    walk = _Walk(scene, path, law, straight, tally)
     walk.begin()
     while walk.pending:
         walk.march()
     found = walk.found
     found.steps.mode[~straight.sound] = int(Mode.LOST)
     found.status[~straight.sound] = int(Status.FALLS_OVER)
-    found.happenings += _smooth_happenings(scene, path, law, found.steps, meetings, walk.by_hand)
+    found.happenings += walk.smooth_happenings()
     found.happenings = _in_order(found.happenings)
     return found
 
@@ -93,6 +98,14 @@ class _Start(NamedTuple):
     """Positions to skip after the next failed search, doubled each time."""
 
 
+def _started(
+    lane: int, position: int, mode: Mode, reached: Reached | None, figure: float, patience: int
+) -> _Start:
+    """A lane on the branch that the figure tells."""
+    sign = float(np.sign(figure)) if mode == Mode.CONTACT else STABLE
+    return _Start(lane, position, mode, reached, sign, patience)
+
+
 class _Walk:
     """The lanes still to be marched, and what has been found so far."""
 
@@ -101,15 +114,19 @@ class _Walk:
         scene: Scene,
         path: Path,
         law: Law,
-        clear: Bool[np.ndarray, "m n"],
-        inside: Bool[np.ndarray, "m n"],
-        meetings: Meetings,
-        tally: Tally,
+        straight: Clearance,
+        tally: Tally | None = None,
+        *,
+        guarded: bool = True,
     ) -> None:
-        self._tally, self._left = tally, np.full(len(clear), clear.shape[1])
-        self._scene, self._path, self._law = scene, path, law
-        self._clear, self._inside, self._meetings = clear, inside, meetings
+        # Where a rod has no shape of its own, nothing can be followed.
+        inside = (straight.at_clamp < 0) | ~straight.sound
+        clear = (straight.distance >= CLEAR) & ~inside
+        self._scene, self._path, self._law, self._guarded = scene, path, law, guarded
+        self._clear, self._inside = clear, inside
+        self._meetings = first_meetings(scene, path, clear, straight.distance)
         shape = clear.shape
+        self._tally, self._left = tally or Tally(None, 0), np.full(shape[0], shape[1])
         self.by_hand = np.zeros(shape, dtype=bool)
         self.pending: list[_Start] = []
         nothing = np.full(shape, np.nan)
@@ -135,6 +152,16 @@ class _Walk:
             _Start(lane, int(index), Mode.FREE, None, STABLE, 1) for lane, index in enumerate(first)
         ]
 
+    def resume(self, before: Steps) -> None:
+        """Start every lane at its first position with what is known there (k, …)."""
+        for lane, mode in enumerate(before.mode.tolist()):
+            own = chosen(before, lane)
+            self.pending.append(_started(lane, 0, Mode(mode), own.reached, own.figure, 1))
+        for whole, part in zip(
+            jax.tree.leaves(self.found.steps), jax.tree.leaves(before), strict=True
+        ):
+            whole[:, 0] = part
+
     def march(self, *, resolve: bool = True) -> None:
         """March all pending lanes to their ends, or to where they are lost, and resolve those
         unless told otherwise.
@@ -159,10 +186,16 @@ class _Walk:
         self._go_on(lanes, n - ends)
         failed = np.flatnonzero(ends < n)
         self.found.steps.mode[lanes[failed], ends[failed]] = int(Mode.LOST)
-        for which in failed.tolist() if resolve else ():
-            lane, at = int(lanes[which]), int(ends[which])
-            before = Mode(int(self.found.steps.mode[lane, at - 1])) if at else Mode.LOST
-            self._resolve(lane, at, before, starts[which].patience)
+        if not resolve:
+            return
+        smooth = self._divided(lanes[failed], ends[failed])
+        for which in failed.tolist():
+            lane, at, patience = int(lanes[which]), int(ends[which]), starts[which].patience
+            if lane in smooth:
+                self._settle(lane, at, smooth[lane], patience)
+            else:
+                before = Mode(int(self.found.steps.mode[lane, at - 1])) if at else Mode.LOST
+                self._resolve(lane, at, before, patience)
 
     def _go_on(self, lanes: Any, left: Any) -> None:
         """Tally what lanes have passed, given the positions they have left."""
@@ -189,8 +222,48 @@ class _Walk:
             mode=np.array([int(start.mode) for start in starts]),
             reached=jax.tree.map(lambda *parts: np.stack(parts), *reached),
             sign=np.array([start.sign for start in starts]),
+            guarded=np.full(len(starts), self._guarded),
         )
         return march(self._scene, self._law, legs)
+
+    def _divided(
+        self, lanes: Int[np.ndarray, "k"], ends: Int[np.ndarray, "k"]
+    ) -> dict[int, Outcome]:
+        """Lanes that pass the stretches that end at given positions if these are divided."""
+        steps = self.found.steps
+        known = self._law.branch & (ends > 0) & ~self._inside[lanes, ends]
+        known &= np.isin(steps.mode[lanes, ends - 1], (Mode.FREE, Mode.CONTACT))
+        lanes, ends = lanes[known], ends[known]
+        if not len(lanes):
+            return {}
+        # One part more, to see how it goes on.
+        way = divided(self._path.stretch(lanes, ends), _PARTS, 1)
+        walk = _Walk(self._scene, way, self._law, along_path(self._scene, way), guarded=False)
+        before = chosen(steps, (lanes, ends - 1))
+        walk.resume(before)
+        walk.march(resolve=False)
+        found = walk.found.steps
+        lost = (found.mode == Mode.LOST).any(axis=1) | ~_steady(found.reached.state.point)
+        found.mode[lost] = int(Mode.LOST)
+        found.mode[:, _PARTS + 1 :] = int(Mode.WAITING)
+        happened: list[list[Happened]] = [[] for _ in lanes]
+        for at in _in_order(walk.smooth_happenings()):
+            fraction = (at.index - 1 + at.fraction) / _PARTS
+            happened[at.lane].append((at.kind, fraction, at.point))
+        last = chosen(found, np.s_[:, _PARTS])
+        outcomes = {}
+        for row in np.flatnonzero(~lost).tolist():
+            end = chosen(last, row)
+            outcomes[int(lanes[row])] = Outcome(
+                Mode(int(end.mode)), end.reached, end.figure, end.phase, happened[row]
+            )
+        return outcomes
+
+    def smooth_happenings(self) -> list[Happening]:
+        """Events on stretches that the march passed without help."""
+        return _smooth_happenings(
+            self._scene, self._path, self._law, self.found.steps, self._meetings, self.by_hand
+        )
 
     def _resolve(self, lane: int, index: int, mode: Mode, patience: int) -> None:
         """Settle the stretch that ends at `index` and let the lane go on after it."""
@@ -228,8 +301,9 @@ class _Walk:
         if outcome.mode == Mode.LOST:
             self._pass_over(lane, index, outcome.status, patience)
         elif index < last:
-            sign = float(np.sign(outcome.figure)) if outcome.mode == Mode.CONTACT else STABLE
-            self.pending.append(_Start(lane, index, outcome.mode, outcome.reached, sign, patience))
+            self.pending.append(
+                _started(lane, index, outcome.mode, outcome.reached, outcome.figure, patience)
+            )
 
     def _pass_over(self, lane: int, index: int, status: Status, patience: int) -> None:
         """Give the rows after a failure its status, up to where the free rod is clear again or
@@ -270,9 +344,7 @@ def _entered(scene: Scene, path: Path, law: Law, lanes: Int[np.ndarray, "k"]) ->
     # Only the part of the extension that some lane needs.
     needed = np.s_[found, int(last_clear[found].min()) :]
     way = Path(way.point[needed], way.orientation[needed], 1)
-    clear, inside = clear[needed], straight.at_clamp[needed] < 0
-    meetings = first_meetings(scene, way, clear, straight.distance[needed])
-    walk = _Walk(scene, way, law, clear, inside, meetings, Tally(None, 0))
+    walk = _Walk(scene, way, law, chosen(straight, needed))
     walk.start_at(last_clear[found] - int(last_clear[found].min()))
     walk.march(resolve=False)
     last = chosen(walk.found.steps, np.s_[:, -1])
@@ -285,6 +357,13 @@ def _entered(scene: Scene, path: Path, law: Law, lanes: Int[np.ndarray, "k"]) ->
                 Mode.CONTACT, end.reached, end.figure, end.phase, [started]
             )
     return entered
+
+
+def _steady(points: Float[np.ndarray, "k n 3"]) -> Bool[np.ndarray, "k"]:
+    """Whether contacts move on steadily, wherever there are any."""
+    moved = np.pad(lengths(np.diff(points, axis=1)), ((0, 0), (1, 1)), constant_values=np.nan)
+    beside = np.fmin(moved[:, :-2], moved[:, 2:])
+    return ~(moved[:, 1:-1] > _STEADY * np.fmax(beside, _STEADY_FLOOR)).any(axis=1)
 
 
 class _Brackets(NamedTuple):

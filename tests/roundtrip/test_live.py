@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -117,6 +118,32 @@ def test_a_replay_gives_what_the_file_gives(
     for name in ("point", "normal", "arc_length", "covariance", "chi_square"):
         np.testing.assert_allclose(kept.all(name), getattr(expected, name), rtol=1e-9, atol=1e-15)
     assert not report.moved_during_tare
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        (lambda rod: rod, None),
+        (lambda rod: replace(rod, bending_stiffness=1.3 * rod.bending_stiffness), "stiffness"),
+        (lambda rod: rod.curved(vb.RestShape.arc(20 * rod.length)), "not straight"),
+    ],
+    ids=["as stated", "stiffer", "bent"],
+)
+def test_a_stream_says_of_the_setup_what_the_file_says(
+    setup: vb.Setup,
+    raw: RawRecording,
+    change: Callable[[vb.Rod], vb.Rod],
+    named: str | None,
+) -> None:
+    """A rod that the readings contradict is named when the stream ends."""
+    rod = change(setup.rod)
+    _, report = replayed(replace(setup, rod=rod), raw)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", vb.RecordingWarning)
+        given = vb.read_recording(FOLDER / "trail.csv", setup)
+        expected = vb.reconstruct(rod, given).warnings
+    assert report.warnings == expected
+    assert (named in " ".join(expected)) if named else not expected
 
 
 def test_a_shared_recording_replayed(sphere_60mm: Path) -> None:

@@ -1,5 +1,6 @@
 """From samples to contacts: tare, pose, inverse, batch by batch."""
 
+import warnings
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import KW_ONLY, dataclass, replace
@@ -8,7 +9,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vibrissa.contacts import Status
+from vibrissa.contacts import RecordingWarning, Status
 from vibrissa.inverse import Reconstruction, reconstruct
 from vibrissa.inverse.reconstruct import compile_for
 from vibrissa.live.poses import ConstantPose, Poses, PoseSource
@@ -34,6 +35,8 @@ MOST_ROWS = 64
 """Rows per call of the inverse: one block of its lanes. More blocks would need compiling too."""
 TARE_SECONDS = 1.0
 """Length of the tare if the setup gives none [s]."""
+_KEPT = 20_000
+"""Most rows by which rod, clamp and sensor are checked; of more, every other one goes."""
 _DAY = 86_400.0  # [s] over which pink noise is modelled: the tare takes care of slower noise
 
 
@@ -66,6 +69,16 @@ class _Places(NamedTuple):
     time: Times
     position: Vectors
     orientation: Quaternions
+
+
+class _Readings(NamedTuple):
+    """Rows as a recording has them."""
+
+    time: Times
+    position: Vectors
+    orientation: Quaternions
+    force: Vectors
+    torque: Vectors
 
 
 @dataclass(eq=False)
@@ -118,6 +131,7 @@ class Processor:
         self._waiting: Samples | None = None
         self._origin: int | None = None
         self._passed: list[_Places] = []
+        self._kept: list[_Readings] = []
         self._zero: ZeroWatch | None = None
         self.report = Report()
 
@@ -211,6 +225,7 @@ class Processor:
         posed, zero, unsure = self._posed(samples), self._zero, False
         raw = self._raw(samples, posed)
         found = self._found(raw, posed.known)
+        self._keep(raw, raw.whole & posed.known)
         free = self._tare.readings(self._sensor, raw.time, raw.orientation)
         tared = raw.wrench - free - self._sensor.rod_readings(raw)
         if zero is not None:
@@ -257,7 +272,7 @@ class Processor:
 
     def _tare_anew(self, rest: RawRecording) -> None:
         """Tare again, from readings at rest after a restart that changed the zero."""
-        before = self._tare.offset
+        before, self._kept = self._tare.offset, []
         self._take_tare(self._sensor.tare(rest), rest.time)
         self.report.zero_changes += 1
         getattr(self.stage, "reset", lambda: None)()
@@ -265,6 +280,25 @@ class Processor:
         moved = ", ".join(f"{name} {value:+.4g}" for name, value in changes)
         text = f"the sensor's zero has changed with its restart ({moved} N, N m)"
         self.report.warn(f"{text}: it is tared again")
+
+    def _keep(self, raw: RawRecording, rows: Flags) -> None:
+        """Keep rows of the present zero."""
+        columns = (raw.time, raw.position, raw.orientation, raw.force, raw.torque)
+        self._kept.append(rows_of(_Readings(*columns), rows))
+        if sum(len(part.time) for part in self._kept) > _KEPT:
+            self._kept = [rows_of(joined(self._kept), np.s_[::2])]
+
+    def contradictions(self) -> list[str]:
+        """What the rows so far say against rod, clamp and sensor, as `vibrissa.reconstruct` says it
+        of a recording; nothing where the noise is unknown.
+        """
+        if not self._kept:
+            return []
+        raw = RawRecording(*joined(self._kept))
+        whole = self._sensor.reactions(raw, self._tare, tolerances=self._errors)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RecordingWarning)
+            return reconstruct(self.rod, whole, friction=self.friction).warnings
 
     def _time(self, samples: Samples) -> Times:
         """Time since the first sample [s]."""

@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 import scipy
 from scipy.ndimage import morphological_gradient
-from scipy.signal import savgol_filter
 
 from vibrissa.brief import brief
 from vibrissa.contacts import Status
@@ -102,7 +101,7 @@ def estimate_friction(found: Reconstruction, *, window: int | None = None) -> Fr
             "or a denser recording"
         )
     way = np.concatenate([found.point, found.arc_length[..., None]], axis=-1)
-    rates = savgol_filter(way, window, 2, deriv=1, axis=-2, mode="nearest")
+    rates = scipy.signal.savgol_filter(way, window, 2, deriv=1, axis=-2, mode="nearest")
     moved = rates[..., :3] - contact_tangents(found) * rates[..., 3:]
     motion = np.where(whole[..., None], moved, np.nan)
     speed = np.linalg.norm(motion, axis=-1)

@@ -21,8 +21,8 @@ from platformdirs import user_cache_path
 Parameters = ParamSpec("Parameters")
 Result = TypeVar("Result")
 
-_LARGEST_CACHE = 512 * 2**20
-"""[bytes] about a thousand kernels with a hundred small ones each; the oldest go first."""
+_MOST_KERNELS = 10_000
+"""In the cache, some 500 MB; of more, the older half goes."""
 _PATIENCE = 1.0
 """Compile time [s] after which a message is shown on a terminal."""
 _told = threading.Lock()
@@ -65,16 +65,14 @@ def set_up_cache() -> None:
 
 
 def _shrink(folder: Path) -> None:
-    """Drop the oldest entries of a folder that has become too large."""
+    """Drop the older half of a folder that has become too large."""
     # The folder may be missing, and another process may drop entries at the same time.
     with suppress(OSError):
-        known = [(entry.stat(), Path(entry)) for entry in os.scandir(folder)]
-        surplus = sum(told.st_size for told, _ in known) - _LARGEST_CACHE
-        for told, entry in sorted(known, key=lambda own: own[0].st_mtime):
-            if surplus <= 0:
-                break
-            entry.unlink()
-            surplus -= told.st_size
+        entries = list(folder.iterdir())
+        if len(entries) > _MOST_KERNELS:
+            entries.sort(key=lambda entry: entry.stat().st_mtime)
+            for entry in entries[: len(entries) // 2]:
+                entry.unlink()
 
 
 def _processor() -> str:

@@ -88,6 +88,8 @@ def _cut(name: str) -> tuple[str, str]:
 
 def part_of(name: str) -> Part | None:
     """What a column is, None if its name says nothing."""
+    if not any(map(str.isalpha, name)):  # as in each of a thousand rows that are no header
+        return None
     tokens = _tokens(name)
     stem, last = _cut(name)
     # The m of `x_m` is a unit, that of `log/m` a moment.

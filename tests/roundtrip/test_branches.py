@@ -41,7 +41,9 @@ def swept(rise: float, way: float) -> tuple[vb.Scan, vb.Reactions]:
     return scan, sensor.reactions(sensor.measure(true, np.random.default_rng(1)))
 
 
-@pytest.mark.parametrize("sweep", [(0.05, 0.05), (0.08, 0.02)])
+@pytest.mark.parametrize(
+    "sweep", [pytest.param((0.05, 0.05), marks=pytest.mark.slow), (0.08, 0.02)]
+)
 def test_smoothing_follows_the_contact_that_continues(sweep: tuple[float, float]) -> None:
     """In the first sweep the second half has one contact only; in the other only the tip tells."""
     scan, readings = swept(*sweep)

@@ -37,6 +37,10 @@ PLAIN = {
 """At least this median error of straight, uniform, weightless and rigidly held rods [% of the
 length]; measured 18, 24, 6 to 8 and 9 to 11. And what is said of the sweep.
 """
+NAMES = (
+    *("tapered", "curved"),
+    *(pytest.param(n, marks=pytest.mark.slow) for n in ("heavy", "soft")),
+)
 INSIDE = chi2.isf(0.05, 3)
 
 
@@ -82,13 +86,7 @@ def distances(found: vb.Reconstruction, scan: vb.Scan, rows: np.ndarray) -> np.n
     return np.einsum("ni,nij,nj->n", error, np.linalg.inv(found.covariance[rows]), error)
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        *("tapered", "curved"),
-        *(pytest.param(name, marks=pytest.mark.slow) for name in ("heavy", "soft")),
-    ],
-)
+@pytest.mark.parametrize("name", NAMES)
 def test_points_are_better_than_raw_ones_and_within_their_ellipsoids(name: str) -> None:
     scan, found = swept(name)
     smooth, rows = vb.smooth(found), inner(scan)
@@ -108,7 +106,7 @@ def test_points_are_better_than_raw_ones_and_within_their_ellipsoids(name: str) 
     assert np.mean(distance) > 0.5
 
 
-@pytest.mark.parametrize("name", PLAIN)
+@pytest.mark.parametrize("name", NAMES)
 def test_a_plain_rod_in_its_place_is_wrong_and_said_to_be(name: str) -> None:
     """The recordings whose contacts are right above: no row passes for sound, neither sample by
     sample nor smoothed, and the sweep as a whole is said to contradict the rod.

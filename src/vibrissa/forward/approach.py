@@ -16,7 +16,8 @@ from vibrissa.contact import Reached, Scene, State
 from vibrissa.forward.path import Path, Stretch, chosen
 from vibrissa.geometry.rotation import lengths
 from vibrissa.mechanics.elastica import Elastica
-from vibrissa.mechanics.model import NEUTRAL, Clamp
+from vibrissa.mechanics.free import at_rest
+from vibrissa.mechanics.model import NEUTRAL, Clamp, Resting
 from vibrissa.numerics.bracket import roots
 from vibrissa.numerics.lanes import FEW, lanes
 from vibrissa.numerics.vectors import dot
@@ -85,13 +86,20 @@ class _Refined(NamedTuple):
     looks: Array
 
 
-def clearance(scene: Scene, clamp: Clamp) -> Clearance:
+def clearances(scene: Scene, clamps: Clamp) -> Clearance:
+    """Clearance of the free rod at several clamp poses."""
+    found: Clearance = _clearance(scene, clamps, at_rest(scene.rod, clamps))
+    return found
+
+
+@lanes(blocks=8, alone=FEW)
+def _clearance(scene: Scene, clamp: Clamp, resting: Resting) -> Clearance:
     """Clearance of the free rod.
 
     The level function is sampled at 17 points; the lowest is refined by Newton's method on its
     derivative along the rod.
     """
-    free = scene.rod.free(clamp)
+    free = scene.rod.free(clamp, resting)
     samples = np.linspace(0, 1, _SAMPLES + 1)
     sampled = scene.each(scene.level, jax.vmap(lambda s: free.at(s)[0])(samples))
     sampled = sampled + (jax.vmap(scene.slack)(jnp.asarray(samples)) if scene.slims else 0.0)
@@ -134,18 +142,22 @@ def clearance(scene: Scene, clamp: Clamp) -> Clearance:
     return Clearance(distance, found.arc_length, sampled[0], cosine, *place, own, sound)
 
 
-@lanes(blocks=8, alone=FEW)
-def clearances(scene: Scene, clamp: Clamp) -> Clearance:
-    """Clearance of the free rod at several clamp poses."""
-    return clearance(scene, clamp)
-
-
-@lanes(alone=FEW)
-def free_rods(scene: Scene, clamp: Clamp) -> tuple[Float[Array, "n 3"], Float[Array, "own"]]:
+def free_rods(
+    scene: Scene, clamps: Clamp
+) -> tuple[Float[np.ndarray, "k n 3"], Float[np.ndarray, "k own"]]:
     """The free rod at several clamp poses: points at equally spaced arc lengths [L], and its own
     unknowns.
     """
-    free = scene.rod.free(clamp)
+    found: Any = _free_rods(scene, clamps, at_rest(scene.rod, clamps))
+    points, own = found
+    return points, own
+
+
+@lanes(alone=FEW)
+def _free_rods(
+    scene: Scene, clamp: Clamp, resting: Resting
+) -> tuple[Float[Array, "n 3"], Float[Array, "own"]]:
+    free = scene.rod.free(clamp, resting)
     points = jax.vmap(lambda s: free.at(s)[0])(np.linspace(0, 1, _FREE_POINTS))
     return points, -free.reactions[: scene.rod.unknowns]
 

@@ -112,15 +112,15 @@ def assessment(
 
 
 @lanes(blocks=64, alone=FEW)
-def assess(scene: Scene, state: State, clamp: Clamp, law: Law) -> tuple[Assessment, Bent, Scalar]:
-    """The same for states at several clamp poses, with the depth."""
+def assess(scene: Scene, state: State, clamp: Clamp, law: Law) -> Assessment:
+    """Assessments of states at several clamp poses, with the depth."""
     values, bent, steepness = assessment(scene, state, clamp, law)
     # Keeps XLA from evaluating the whole state again for each of the points.
     bent, steepness = lax.optimization_barrier(  # type: ignore[no-untyped-call]
         (bent, steepness)
     )
     depth = _depth(scene._replace(rod=scene.rod.finer), bent, steepness)
-    return values._replace(depth=depth), bent, steepness
+    return values._replace(depth=depth)
 
 
 def _depth(scene: Scene, bent: Bent, steepness: Scalar) -> Scalar:
@@ -183,14 +183,15 @@ def _least(levels: Float[Array, "n"], near: Scalar) -> Scalar:
     return jnp.minimum(jnp.minimum(levels[0], first - jnp.where(rises, 0.0, near)), beyond)
 
 
-def deepest(scene: Scene, bent: Bent, steepness: Float[np.ndarray, "k"]) -> Deepest:
-    """Deepest of many points of each rod: the second contact that was left out, if there is one.
+def deepest(scene: Scene, state: State, clamp: Clamp, law: Law) -> Deepest:
+    """Deepest of many points of each rod (k, …): the second contact that was left out, if there is
+    one.
 
     The depth is a lower bound, off by up to h²/(8R) for points h ≈ L/6000 apart at the deepest
     place and an object that is round with radius R there, and by h/2 where it is sharp.
     """
-    line: Any = _fine_line(scene._replace(rod=scene.rod.finer), bent)
-    points, slack = line
+    line: Any = _fine_line(scene, state, clamp, law)
+    points, slack, steepness = line
     coarse = levels(scene, points) + slack
     padded = np.pad(coarse, ((0, 0), (1, 1)), constant_values=np.inf)
     lower = (coarse < padded[:, :-2]) & (coarse <= padded[:, 2:])
@@ -211,17 +212,22 @@ def deepest(scene: Scene, bent: Bent, steepness: Float[np.ndarray, "k"]) -> Deep
 
 
 @lanes(width=16, blocks=_AT_ONCE // 16)
-def _fine_line(scene: Scene, bent: Bent) -> tuple[Float[Array, "n 3"], Float[Array, "n"]]:
+def _fine_line(
+    scene: Scene, state: State, clamp: Clamp, law: Law
+) -> tuple[Float[Array, "n 3"], Float[Array, "n"], Scalar]:
     """Many points of a rod from tip to clamp, the contact only once, and how much thinner the rod
-    is there.
+    is there; with the steepness of the level function at the contact.
     """
+    _, bent, steepness = assessment(scene, state, clamp, law)
+    bent = lax.optimization_barrier(bent)  # type: ignore[no-untyped-call]
+    scene = scene._replace(rod=scene.rod.finer)
     bend, tail = scene.rod.points(bent, _FINE_BEND), scene.rod.tail(bent, _FINE_TAIL)
     points = jnp.concatenate([tail[:0:-1], bend])
     slack = _slack(scene, bent, [_FINE_BEND], [_FINE_TAIL])
     if isinstance(slack, float):
-        return points, jnp.zeros(len(points))
+        return points, jnp.zeros(len(points)), steepness
     bends, tails = jnp.split(slack[:, 0], [len(_FINE_BEND)])
-    return points, jnp.concatenate([tails[:0:-1], bends])
+    return points, jnp.concatenate([tails[:0:-1], bends]), steepness
 
 
 def levels(scene: Scene, points: Float[np.ndarray, "k n 3"]) -> Float[np.ndarray, "k n"]:
@@ -258,12 +264,12 @@ def assessed(
     """Assessments of states (k, …), with refined depths; and the deepest points [L] of those that
     are deep or nearly so, NaN for the others. A law holds one row per state, if anything.
     """
-    values, bent, steepness = assess(scene, state, clamp, law)
+    values = assess(scene, state, clamp, law)
     places, depth = np.full(state.point.shape, np.nan), values.depth.copy()
     left_open = np.flatnonzero(depth > DEPTH_TOLERANCE)
     for first in range(0, len(left_open), _AT_ONCE):
         rows = left_open[first : first + _AT_ONCE]
-        found = deepest(scene, *chosen((bent, steepness), rows))
+        found = deepest(scene, *chosen((state, clamp, law), rows))
         depth[rows], places[rows] = found.depth, found.point
     return values._replace(depth=depth), places
 

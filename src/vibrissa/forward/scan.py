@@ -18,9 +18,9 @@ from vibrissa.forward.result import Scan
 from vibrissa.forward.search import caught
 from vibrissa.forward.sweep import Sweep, sweep
 from vibrissa.geometry.checks import not_negative
-from vibrissa.mechanics.free import check_loads
+from vibrissa.mechanics.free import at_rest, check_loads
 from vibrissa.mechanics.kirchhoff import ACCURACY, steps_for
-from vibrissa.mechanics.model import Clamp
+from vibrissa.mechanics.model import Clamp, Resting
 from vibrissa.mechanics.models import model_of
 from vibrissa.numerics.lanes import FEW, WIDTH, in_threads, lanes, threads
 from vibrissa.numerics.progress import Progress, Tally
@@ -240,15 +240,18 @@ class _Hanging(NamedTuple):
 def _hanging(scene: Scene, clamps: Clamp, rows: Int[np.ndarray, "k"]) -> _Hanging:
     if not scene.rod.loaded:
         rows = rows[:0]
-    found: Any = _free(scene, chosen(clamps, rows))
+    some = chosen(clamps, rows)
+    found: Any = _free(scene, some, at_rest(scene.rod, some))
     reactions, energy = found
     return _Hanging(rows, reactions[:, :3], reactions[:, 3:], energy)
 
 
 @lanes(alone=FEW)
-def _free(scene: Scene, clamp: Clamp) -> tuple[Float[Array, "6"], Float[Array, ""]]:
+def _free(
+    scene: Scene, clamp: Clamp, resting: Resting
+) -> tuple[Float[Array, "6"], Float[Array, ""]]:
     """Reactions and energy of the rod without contact."""
-    free = scene.rod.free(clamp)
+    free = scene.rod.free(clamp, resting)
     return free.reactions, free.energy
 
 

@@ -5,7 +5,7 @@ rest after a snap, for trails that begin in contact, and for tips caught between
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -25,7 +25,7 @@ from vibrissa.forward.assess import (
 )
 from vibrissa.forward.march import SHARP, from_seeds, solved
 from vibrissa.forward.path import chosen
-from vibrissa.mechanics.model import Bent, Clamp
+from vibrissa.mechanics.model import Clamp
 from vibrissa.numerics.lanes import AnyArray, lanes
 from vibrissa.surfaces import Offset
 
@@ -162,8 +162,9 @@ def _caught(scene: Scene, clamp: Clamp) -> tuple[Assessment, Float[np.ndarray, "
         held = partial(_held_by, scene, clamp, pair)
         state = _distinct(held, clamp, starts).state
         state = chosen(state, (state.lean[:, 0] > 0) & (state.lean[:, 0] < 1))
-        _, (values, bent, steepness) = held(state)
-        depth = deepest(scene, bent, steepness).depth
+        _, values = held(state)
+        law = Held(np.broadcast_to(pair, (len(state.force), 2)))
+        depth = deepest(scene, state, _repeated(clamp, len(state.force)), law).depth
         values = chosen(values._replace(depth=depth), depth < DEPTH_TOLERANCE)
         for row in np.argsort(values.energy)[:1]:
             if best is None or values.energy[row] < best[0].energy:
@@ -172,27 +173,24 @@ def _caught(scene: Scene, clamp: Clamp) -> tuple[Assessment, Float[np.ndarray, "
     return best
 
 
-_Assessed: TypeAlias = tuple[Assessment, Bent, Float[AnyArray, "*k"]]
-"""As returned by `assessment`."""
-
-
 def _held_by(
     scene: Scene, clamp: Clamp, pair: Int[np.ndarray, "two"], seeds: State
-) -> tuple[Solutions, _Assessed]:
+) -> tuple[Solutions, Assessment]:
     """Where Newton's method leads from seeds (k, …) of tips held by two parts."""
     count = len(seeds.force)
     law = Held(np.broadcast_to(pair, (count, 2)))
-    found: tuple[Solutions, _Assessed] = _held(scene, seeds, _repeated(clamp, count), law)
+    found: tuple[Solutions, Assessment] = _held(scene, seeds, _repeated(clamp, count), law)
     return found
 
 
 @lanes(width=1, blocks=256)
-def _held(scene: Scene, seed: State, clamp: Clamp, law: Held) -> tuple[Solutions, _Assessed]:
+def _held(scene: Scene, seed: State, clamp: Clamp, law: Held) -> tuple[Solutions, Assessment]:
     always = jnp.ones((), dtype=bool)
     found = solved(scene, law, seed, clamp, None, None, always, jnp.asarray(SHARP))
     state = found.reached.state
     solutions = Solutions(state, found.figure, found.residual)
-    return solutions, assessment(scene, state, clamp, law)
+    values, *_ = assessment(scene, state, clamp, law)
+    return solutions, values
 
 
 def _repeated(clamp: Clamp, count: int) -> Clamp:

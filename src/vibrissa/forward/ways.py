@@ -73,7 +73,7 @@ class Way(ABC):
     def _assessed(self, state: State, fraction: float) -> Assessment:
         clamp = self._stretch.clamps(np.array([fraction]))
         one = jax.tree.map(lambda part: np.asarray(part)[None], (state, clamp))
-        values: Assessment = chosen(assess(self._scene, *one, self._law)[0], 0)
+        values: Assessment = chosen(assess(self._scene, *one, self._law), 0)
         return values
 
 

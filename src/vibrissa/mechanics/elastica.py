@@ -25,7 +25,16 @@ import numpy as np
 from jax import Array, lax
 from jaxtyping import Float, Int
 
-from vibrissa.mechanics.model import Bent, Clamp, Contact, Own, RodModel, Straight, is_neutral
+from vibrissa.mechanics.model import (
+    Bent,
+    Clamp,
+    Contact,
+    Own,
+    Resting,
+    RodModel,
+    Straight,
+    is_neutral,
+)
 from vibrissa.numerics.carlson import carlson_rf_rd
 from vibrissa.numerics.trigonometry import cosine, sine
 from vibrissa.numerics.vectors import dot, joined
@@ -140,7 +149,7 @@ class Elastica(RodModel):
     inflections: int = eqx.field(static=True, default=0)
     """How often the curvature changes sign between clamp and contact."""
 
-    def free(self, clamp: Clamp) -> Straight:
+    def free(self, clamp: Clamp, resting: Resting | None = None) -> Straight:  # noqa: ARG002
         """As in `RodModel`."""
         return Straight(clamp)
 

@@ -3,20 +3,22 @@
 from dataclasses import replace
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
 from jaxtyping import Bool, Float
 
-from vibrissa.mechanics.model import Clamp, RodModel
+from vibrissa.geometry.rotation import rotation_matrices
+from vibrissa.mechanics.model import Clamp, Resting, RodModel
 from vibrissa.mechanics.models import model_of
 from vibrissa.mechanics.shape import free_lines
-from vibrissa.numerics.lanes import lanes
-from vibrissa.numerics.rotation import first_axis, third_axis
+from vibrissa.numerics.lanes import FEW, lanes
 from vibrissa.numerics.vectors import dot
 from vibrissa.rod import Rod
 from vibrissa.trail import Trail
 
+_DIGITS = 12
+"""Decimals in which the axes of clamps agree that count as alike: all but the last few."""
 _PLACES = 33
 """Along the rod, at which functions of its loads are asked for numbers."""
 
@@ -30,15 +32,40 @@ class FreeRod(NamedTuple):
     """How far the tip is ahead of the clamp along the clamp's axis [L]."""
 
 
-@lanes()
 def free_rods(
-    rod: RodModel, position: Float[Array, "3"], orientation: Float[Array, "4"]
+    rod: RodModel, position: Float[np.ndarray, "n 3"], orientation: Float[np.ndarray, "n 4"]
 ) -> FreeRod:
     """The free rod for clamps at these positions [L] with these orientations."""
-    clamp = Clamp(position, third_axis(orientation), first_axis(orientation))
+    axes = rotation_matrices(orientation)
+    clamps = Clamp(position, axes[..., 2], axes[..., 0])
+    found: FreeRod = _free_rods(rod, clamps, at_rest(rod, clamps))
+    return found
+
+
+def at_rest(rod: RodModel, clamps: Clamp) -> Resting:
+    """What rods without contact leave at their clamps (n, …): found once for each orientation,
+    unless their loads depend on the position too.
+    """
+    count = len(clamps.point)
+    if not rod.loaded:
+        return Resting(np.zeros((count, 0)), np.ones(count, dtype=bool))
+    told = np.hstack(clamps[1:] if rod.alike_everywhere else clamps).round(_DIGITS)
+    _, first, own = np.unique(told, axis=0, return_index=True, return_inverse=True)
+    found: Any = _at_rest(rod, jax.tree.map(lambda part: part[first], clamps))
+    return Resting(*(part[own.ravel()] for part in found))
+
+
+@lanes(alone=FEW)
+def _at_rest(rod: RodModel, clamp: Clamp) -> Resting:
     free = rod.free(clamp)
+    return Resting(-free.reactions, jnp.asarray(free.sound))
+
+
+@lanes()
+def _free_rods(rod: RodModel, clamp: Clamp, resting: Resting) -> FreeRod:
+    free = rod.free(clamp, resting)
     tip, *_ = free.at(jnp.ones(()))
-    ahead = dot(tip - position, clamp.tangent)
+    ahead = dot(tip - clamp.point, clamp.tangent)
     return FreeRod(*(jnp.where(free.sound, part, jnp.nan) for part in (free.reactions, ahead)))
 
 

@@ -22,6 +22,7 @@ import sys
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
@@ -33,7 +34,17 @@ from jaxtyping import Bool, Float, Int
 
 from vibrissa.geometry.checks import positive
 from vibrissa.mechanics.line import Line, State, across_of, closest, most_zeros, zero
-from vibrissa.mechanics.model import AT_ORIGIN, Bent, Clamp, Contact, Flag, Free, Own, RodModel
+from vibrissa.mechanics.model import (
+    AT_ORIGIN,
+    Bent,
+    Clamp,
+    Contact,
+    Flag,
+    Free,
+    Own,
+    Resting,
+    RodModel,
+)
 from vibrissa.mechanics.section import (
     POINTS,
     QUADRATURE,
@@ -87,6 +98,9 @@ _ROUNDING = 1e-9
 """By which a contact at the tip may seem to lie before it [L]."""
 _TINY = 1e-300
 
+_traced_once = partial(jax.jit, inline=True)
+"""Of functions that kernels call several times: tracing them takes as long as all else."""
+
 
 def steps_for(accuracy: float) -> int:
     """Steps that leave errors of about this size [L]: they fall with the eighth power.
@@ -101,6 +115,11 @@ def steps_for(accuracy: float) -> int:
 
 class Load(eqx.Module):
     """Force per length on the rod [EI/L³], world axes."""
+
+    @property
+    @abstractmethod
+    def alike_everywhere(self) -> bool:
+        """Whether it does not depend on the position."""
 
     @abstractmethod
     def per_length(self, s: Scalar, position: Vector, tangent: Vector, section: Any) -> Vector:
@@ -126,6 +145,8 @@ class Inner(NamedTuple):
     push: Push
     here: State | None = None
     """The rod at the contact, where that is known."""
+    rest: Line | None = None
+    """And the rod behind it, under loads."""
 
 
 class Unloaded(Free):
@@ -257,6 +278,11 @@ class Kirchhoff(RodModel):
         return self.load is not None
 
     @property
+    def alike_everywhere(self) -> bool:
+        """As in `RodModel`."""
+        return self.load is None or self.load.alike_everywhere
+
+    @property
     def uniform(self) -> bool:
         """As in `RodModel`."""
         return self.local.girth is None
@@ -359,6 +385,7 @@ class Kirchhoff(RodModel):
     def _scheme(self) -> Scheme:
         return ORDER_5 if self.rough_steps else ORDER_8
 
+    @_traced_once
     def line(self, clamp: Clamp, push: Push, load: Wrench | None = None) -> Line:
         """The rod under a contact force that acts at or beyond its tip; with loads, Q and their
         moment about the clamp point at s = 0.
@@ -405,9 +432,10 @@ class Kirchhoff(RodModel):
         error: Scalar = jnp.where(turned < _FULL_TURN, line.error[place + 1], jnp.inf)
         return error
 
+    @_traced_once
     def _at(self, inner: Inner, s: Scalar) -> State:
         """The rod at an arc length, by a step from the node before it; straight beyond the tip."""
-        line, clamp, push, _ = inner
+        line, clamp, push, *_ = inner
         place, step, x = line.between(s)
         before = jax.tree.map(lambda rows: rows[place], line.states)
         own = jax.tree.map(lambda part: part[place], self.local)
@@ -439,6 +467,8 @@ class Kirchhoff(RodModel):
 
     def beyond(self, inner: Inner, s: Scalar) -> Line:
         """The rest of the rod, from the contact at s on: without loads it has its own shape."""
+        if inner.rest is not None:
+            return inner.rest
         here, whole = self._contact(inner, s), self.divided or self
         if self.loaded:
             return self._rest(inner, s, here)
@@ -479,11 +509,14 @@ class Kirchhoff(RodModel):
         """The rod that nothing loads, seen from its clamp."""
         return self.unloaded or replace(self, compliance=None).line(AT_ORIGIN, _NO_PUSH)
 
-    def free(self, clamp: Clamp) -> Free:
+    def free(self, clamp: Clamp, resting: Resting | None = None) -> Free:
         """As in `RodModel`."""
         if not self.loaded:
             return Unloaded(clamp, (self.divided or self).own_shape)
-        return self._hanging(clamp)
+        if resting is None:
+            return self._hanging(clamp)
+        load = jnp.asarray(resting.load)
+        return Hanging(clamp, self.line(clamp, _NO_PUSH, load), load, resting.sound)
 
     def _hanging(self, clamp: Clamp) -> Hanging:
         def left(load: Wrench, given: tuple[Kirchhoff, Clamp]) -> Float[Array, "9"]:
@@ -523,7 +556,8 @@ class Kirchhoff(RodModel):
         s, incidence = s + along, (1 + dot(here.tangent, direction)) / 2
         inner = inner._replace(here=here)
         if load is not None:
-            misses = joined(misses, self.beyond(inner, s).states.load[-1])
+            rest = self._rest(inner, s, here)
+            inner, misses = inner._replace(rest=rest), joined(misses, rest.states.load[-1])
         return Bent(point, r, force, direction, misses, s, incidence, inner, load)
 
     def tangent(self, bent: Bent) -> Vector:
@@ -606,6 +640,7 @@ class Kirchhoff(RodModel):
         """As in `RodModel`: a straight rod would have to be bent to and fro to have several."""
         return 1 if self.local.rest is None else _CANDIDATES
 
+    @_traced_once
     def contact(
         self, force: Vector, moment: Vector, clamp: Clamp, which: Int[Any, ""] | int = 0
     ) -> Contact:
@@ -615,6 +650,7 @@ class Kirchhoff(RodModel):
         crossing, _ = self._crossings(clamp, Push(-force, -moment))
         return crossing(which)
 
+    @_traced_once
     def contacts(self, force: Vector, moment: Vector, clamp: Clamp) -> Contact:
         """As in `RodModel`."""
         crossing, count = self._crossings(clamp, Push(-force, -moment))
@@ -656,7 +692,7 @@ class Kirchhoff(RodModel):
 
     def _crossing(self, inner: Inner, s: Scalar) -> Contact:
         """The contact near an arc length, without loads."""
-        line, _, push, _ = inner
+        line, _, push, *_ = inner
         f, here = jnp.sqrt(dot(push.force, push.force)), self._at(inner, s)
         at, along = here.reach, here.tangent
         lever, inside = jnp.cross(along, push.force) / f, push.moment - jnp.cross(at, push.force)

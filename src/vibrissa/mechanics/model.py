@@ -115,6 +115,15 @@ class Free(eqx.Module):
         return jnp.zeros(())
 
 
+class Resting(NamedTuple):
+    """What is known of a rod without contact once its shape has been found."""
+
+    load: Own
+    """Resultants of its loads, the moment about the clamp point."""
+    sound: Flag
+    """As in `Free`."""
+
+
 class Straight(Free):
     """A straight rod that nothing loads."""
 
@@ -153,8 +162,8 @@ class RodModel(eqx.Module):
         return 6 if self.loaded else 0
 
     @abstractmethod
-    def free(self, clamp: Clamp) -> Free:
-        """Return the rod without contact."""
+    def free(self, clamp: Clamp, resting: Resting | None = None) -> Free:
+        """Return the rod without contact; what is known of it need not be found again."""
 
     @abstractmethod
     def bent(
@@ -197,6 +206,13 @@ class RodModel(eqx.Module):
     def loaded(self) -> bool:
         """Whether it exerts reactions without contact."""
         return False
+
+    @property
+    def alike_everywhere(self) -> bool:
+        """Whether the rod without contact, seen from its clamp, depends on the clamp's orientation
+        alone.
+        """
+        return True
 
     @property
     def uniform(self) -> bool:

@@ -38,6 +38,12 @@ class _Load(Load):
     unit: Any
     """EI/L³ [N/m]."""
 
+    @property
+    def alike_everywhere(self) -> bool:
+        """As in `vibrissa.mechanics.kirchhoff.Load`."""
+        alike: bool = self.loads.alike_everywhere
+        return alike
+
     def per_length(self, s: Any, position: Vector, tangent: Vector, section: Any) -> Vector:
         """As in `vibrissa.mechanics.kirchhoff.Load`."""
         density, radius = section

@@ -54,7 +54,7 @@ def set_up_cache() -> None:
     wanted = os.environ.get("VIBRISSA_CACHE", "")
     if wanted.lower() == "off" or jax.config.values["jax_compilation_cache_dir"]:
         return
-    folder = (Path(wanted) if wanted else user_cache_path("vibrissa")) / _processor()
+    folder = (Path(wanted) if wanted else user_cache_path("vibrissa")) / "kernels" / _processor()
     _shrink(folder)
     for name, value in {
         "jax_compilation_cache_dir": str(folder),

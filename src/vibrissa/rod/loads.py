@@ -72,6 +72,11 @@ class Loads(Described):
         """Whether nothing acts."""
         return self.gravity is None and self.wind is None and self.force is None
 
+    @property
+    def alike_everywhere(self) -> bool:
+        """Whether no function of the position acts."""
+        return self.force is None and not callable(self.wind)
+
     def per_length(
         self,
         arc_length: Figure,

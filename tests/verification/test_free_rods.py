@@ -2,10 +2,12 @@
 tip to the clamp.
 """
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
 
 import vibrissa as vb
 
@@ -84,3 +86,27 @@ def test_an_offset_of_the_object_is_the_same_for_every_rod() -> None:
     for name in ("force", "moment"):
         found, expected = (getattr(one.reactions, name) for one in (grown, whole))
         np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize(
+    "loads",
+    [
+        vb.Loads(gravity=(0, 0, -9.81), wind=(0, 8.0, 0)),
+        vb.Loads(gravity=(0, 0, -9.81), wind=lambda place: jnp.array([0.0, 200.0, 0.0]) * place[0]),
+    ],
+    ids=["alike everywhere", "wind that grows along x"],
+)
+def test_each_pose_is_as_if_it_were_the_only_one(loads: vb.Loads) -> None:
+    """Poses that share an orientation and poses that do not, on trails of their own and in one."""
+    rod = WIRE.loaded(loads)
+    turns = Rotation.from_euler("xyz", [[90, 0, 0], [90, 0, 30], [120, 20, 0]], degrees=True)
+    orientation = np.repeat(turns.as_quat(), 3, axis=0)
+    position = np.tile([[0.02, 0, 0], [0.04, 0, 0], [0.06, 0.01, 0.01]], (3, 1))
+    whole = vb.scan(rod, FAR, vb.Trail(position, orientation)).reactions.wrench
+    alone = [
+        vb.scan(rod, FAR, vb.Trail(position[[row]], orientation[[row]])).reactions.wrench[0]
+        for row in range(len(position))
+    ]
+    np.testing.assert_allclose(whole, alone, rtol=1e-10, atol=1e-15)
+    same = np.isclose(whole[0], whole[1], rtol=1e-10, atol=1e-15).all()
+    assert same != callable(loads.wind)

@@ -37,6 +37,8 @@ TARE_SECONDS = 1.0
 """Length of the tare if the setup gives none [s]."""
 _KEPT = 20_000
 """Most rows by which rod, clamp and sensor are checked; of more, every other one goes."""
+_PARTS = 100
+"""Batches after which what is kept is put together."""
 _DAY = 86_400.0  # [s] over which pink noise is modelled: the tare takes care of slower noise
 
 
@@ -225,7 +227,6 @@ class Processor:
         posed, zero, unsure = self._posed(samples), self._zero, False
         raw = self._raw(samples, posed)
         found = self._found(raw, posed.known)
-        self._keep(raw, raw.whole & posed.known)
         free = self._tare.readings(self._sensor, raw.time, raw.orientation)
         tared = raw.wrench - free - self._sensor.rod_readings(raw)
         if zero is not None:
@@ -240,6 +241,8 @@ class Processor:
         if unsure:
             status = np.where(found.status == Status.OK, Status.SETUP_CONTRADICTED, found.status)
             found = replace(found, status=status.astype(np.int8))
+        else:
+            self._keep(raw, raw.whole & posed.known)
         self.report.unsure += unsure * len(samples)
         self.report.without_pose += int(np.count_nonzero(~posed.known))
         position, orientation = (np.where(posed.known[:, None], part, np.nan) for part in posed[:2])
@@ -282,11 +285,18 @@ class Processor:
         self.report.warn(f"{text}: it is tared again")
 
     def _keep(self, raw: RawRecording, rows: Flags) -> None:
-        """Keep rows of the present zero."""
+        """Keep rows of the present zero and clock."""
         columns = (raw.time, raw.position, raw.orientation, raw.force, raw.torque)
-        self._kept.append(rows_of(_Readings(*columns), rows))
-        if sum(len(part.time) for part in self._kept) > _KEPT:
-            self._kept = [rows_of(joined(self._kept), np.s_[::2])]
+        new = rows_of(_Readings(*columns), rows)
+        if not len(new.time):
+            return
+        if self._kept and new.time[0] <= self._kept[-1].time[-1]:
+            self._kept = []
+        self._kept.append(new)
+        if len(self._kept) > _PARTS:
+            self._kept = [joined(self._kept)]
+            if len(self._kept[0].time) > _KEPT:
+                self._kept = [rows_of(self._kept[0], np.s_[::2])]
 
     def contradictions(self) -> list[str]:
         """What the rows so far say against rod, clamp and sensor, as `vibrissa.reconstruct` says it

@@ -3,7 +3,7 @@ solved by Newton's method.
 
 The march handles what goes smoothly. Where a lane does not converge, jumps, changes the sign of its
 Jacobian determinant, or has the free rod inside the object without a first contact, the march
-marks that lane as lost; `follow` resolves the stretch, and the march resumes after it.
+marks that lane as lost; the sweep resolves the stretch, and the march resumes after it.
 """
 
 from enum import IntEnum

@@ -1,5 +1,5 @@
-"""The sweep: geometry of the free rod, the march, and `follow` wherever the march lost a lane;
-then the events.
+"""The sweep: geometry of the free rod, and the march; where that has lost a lane, the march through
+the divided stretch and, failing that, `follow`; then the events.
 """
 
 import math

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import binary_propagation, uniform_filter1d
 
 from vibrissa.inverse.arrays import Flags, Vectors
-from vibrissa.inverse.checks.case import GROSS, Case, case_of, solved
+from vibrissa.inverse.checks.case import GROSS, Case, Numbers, Solution, case_of, solved
 from vibrissa.inverse.checks.findings import Cause, SetupCheck
 from vibrissa.inverse.checks.rig import (
     ERRORS,
@@ -16,6 +16,7 @@ from vibrissa.inverse.checks.rig import (
     POSITION,
     SUSPECTS,
     TELLING,
+    Directions,
     sensor_matrix,
 )
 from vibrissa.inverse.checks.stretches import stretches_of
@@ -138,6 +139,16 @@ def _explained(first: Weighed) -> list[Weighed]:
     return told
 
 
+def _solution(
+    case: Case, directions: Directions, spread: Numbers, start: Numbers
+) -> Solution | None:
+    """As `solved`; None where the search ends at readings that no rod produces."""
+    try:
+        return solved([case], directions, spread, start)
+    except ValueError:  # not finite, or of no positive definite covariance
+        return None
+
+
 def _solved_if_gross(first: Weighed) -> Weighed:
     """Causes solved for if the best is gross, except those that the linear fit finds hopeless."""
     case, misfit = first.case, first.misfit
@@ -150,11 +161,14 @@ def _solved_if_gross(first: Weighed) -> Weighed:
             directions = SUSPECTS[one.name]
             spread = case.spreads(directions)
             start = np.clip(one.size, -spread, spread)
-            solution = solved([case], directions, spread, start)
-            if len(spread) == 1 and solution.left > _POOR * len(misfit.value):
-                other = solved([case], directions, spread, -start)
-                solution = min(solution, other, key=attrgetter("left"))
-            _, _, size, covariance, left = solution
+            found = [_solution(case, directions, spread, start)]
+            poor = found[0] is None or found[0].left > _POOR * len(misfit.value)
+            if len(spread) == 1 and poor:
+                found.append(_solution(case, directions, spread, -start))
+            solutions = [each for each in found if each is not None]
+            if not solutions:
+                continue
+            _, _, size, covariance, left = min(solutions, key=attrgetter("left"))
             out.append(
                 one._replace(size=size, covariance=covariance, explained=misfit.square - left)
             )
@@ -171,7 +185,10 @@ def _tolerable(case: Case) -> bool:
     directions, spread = case.tolerated[:, spread > 0] / spread[spread > 0], spread[spread > 0]
     if not spread.size:
         return False
-    size = solved([case], directions, spread, np.zeros_like(spread)).size
+    solution = _solution(case, directions, spread, np.zeros_like(spread))
+    if solution is None:
+        return False
+    size = solution.size
     if np.max(np.abs(size) / spread) >= GROSS:
         return False
     about = case.about(case.errors + directions @ size)

@@ -91,7 +91,6 @@ def stream(
             opened.open()
         loop.run(stop or threading.Event(), duration or np.inf, silence or np.inf, batch_seconds)
     report.malformed_poses, report.misplaced_poses = poses.malformed, poses.misplaced
-    report.notice("checking rod, clamp and sensor by the readings")
     for text in [*processor.contradictions(), *report.losses()]:
         report.warn(text)
     return report

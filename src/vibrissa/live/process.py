@@ -302,8 +302,9 @@ class Processor:
         """What the rows so far say against rod, clamp and sensor, as `vibrissa.reconstruct` says it
         of a recording; nothing where the noise is unknown.
         """
-        if not self._kept:
+        if not self._kept or not self._sensor.noise.known:
             return []
+        self.report.notice("checking rod, clamp and sensor by the readings")
         raw = RawRecording(*joined(self._kept))
         whole = self._sensor.reactions(raw, self._tare, tolerances=self._errors)
         with warnings.catch_warnings():

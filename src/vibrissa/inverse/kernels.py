@@ -90,7 +90,7 @@ class Errors(NamedTuple):
 
 class Found(NamedTuple):
     """Contact of one row, in units of the rod; NaN without contact. Fields are those of
-    `Reconstruction` except the last three.
+    `Reconstruction` except the last four.
     """
 
     kind: Int[AnyArray, "*n"]
@@ -109,6 +109,7 @@ class Found(NamedTuple):
     """From what all samples share."""
     weak: Bool[AnyArray, "*n"] | None = None
     """Whether the errors need second moments."""
+    likely: "Likely | None" = None
 
 
 class Observed(NamedTuple):
@@ -122,11 +123,26 @@ class Observed(NamedTuple):
     """m0·f0, in standard deviations."""
 
 
-class _Held(NamedTuple):
-    """A rod at its clamp, and its reactions without those of distributed loads."""
+class _Reading(NamedTuple):
+    """What a wrench at the clamp says about its contact, under given loads."""
 
     rod: RodModel
     clamp: Clamp
+    load: Any = None
+    """What the loads contribute to the reactions (6,), if there are any."""
+    which: Int[Any, ""] | int = 0
+    """Which of several contacts is meant, in order along the rod."""
+
+    def contact(self, wrench: Wrench) -> Contact:
+        """The contact that explains a wrench of its own."""
+        whole = wrench if self.load is None else wrench + self.load
+        return self.rod.contact(whole[:3], whole[3:], self.clamp, self.which)
+
+
+class _Held(NamedTuple):
+    """A rod at its clamp, and its reactions without those of distributed loads."""
+
+    reading: _Reading
     wrench: Wrench
     """Of the contact alone."""
     push: Wrench
@@ -135,27 +151,43 @@ class _Held(NamedTuple):
     """Of the free rod, seen from the clamp [L]."""
     measured: Contact
     """What the wrench itself says."""
-    load: Any = None
-    """What the loads contribute to the reactions (6,), if there are any."""
-    which: Int[Any, ""] | int = 0
-    """Which of several contacts is meant, in order along the rod."""
     several: Flag | bool = False
     """Whether others explain the reactions too."""
     sound: Flag | bool = True
     """Whether the free rod has a stable shape."""
 
-    def contact(self, wrench: Wrench) -> Contact:
-        """The contact that explains a wrench of its own, under the same loads."""
-        whole = wrench if self.load is None else wrench + self.load
-        return self.rod.contact(whole[:3], whole[3:], self.clamp, self.which)
+
+class _Read(NamedTuple):
+    """The contact that explains a wrench, with derivatives with respect to that wrench."""
+
+    contact: Contact
+    slopes: Observed
+    """That of m0·f0 is of what the contact itself does to the clamp [(EI)²/L³]."""
+    couple: Scalar
+    """m0·f0 of what the contact itself does to the clamp."""
+
+
+class Likely(NamedTuple):
+    """Most probable wrench of a single contact within the rod's length, one row per sample."""
+
+    wrench: Float[AnyArray, "*n 6"]
+    reach: Points
+    direction: Points
+    tip: Points
+    """Of the free rod, seen from the clamp [L]."""
+    off_straight: Row
+    """Distance from a force at the tip of the unbent rod, in standard deviations."""
+    which: Int[AnyArray, "*n"]
+    """Which of several contacts is meant, in order along the rod."""
+    load: Any = None
+    """What the loads contribute to the reactions (n, 6), if there are any."""
 
 
 class _Probable(NamedTuple):
-    """Most probable wrench of a single contact within the rod's length, with derivatives there."""
+    """The same for one sample, with what errors and status need."""
 
     held: _Held
-
-    wrench: Wrench
+    likely: Likely
     contact: Contact
     single: Scalar
     slopes: Observed
@@ -164,8 +196,6 @@ class _Probable(NamedTuple):
     """
     pinned: Flag
     """Whether the wrench was moved to the tip."""
-    off_straight: Scalar
-    """Distance from a force at the tip of the unbent rod, in standard deviations."""
 
 
 def _exact(setting: Setting, sample: Sample) -> Found:
@@ -187,7 +217,7 @@ many_exact_contacts = lanes(width=128, blocks=128)(_exact)
 """The same for tens of thousands of rows, in larger calls."""
 
 
-@lanes(alone=FEW, by_call=True)
+@lanes(alone=FEW, by_call=True, walks=True)
 def noisy_contacts(setting: Setting, sample: Sample) -> Found:
     """Contact of the most probable single-contact wrench on this rod, with first-order errors."""
     probable = _probable(setting, sample)
@@ -222,12 +252,13 @@ def noisy_contacts(setting: Setting, sample: Sample) -> Found:
         setup=of_setup,
         arc_length_deviation=deviation * scale,
         chi_square=chi_square,
-        weak=jnp.sum(probable.wrench[:3] ** 2) <= _FIRST_ORDER**2 * variance,
+        weak=jnp.sum(probable.likely.wrench[:3] ** 2) <= _FIRST_ORDER**2 * variance,
+        likely=probable.likely,
     )
 
 
-@lanes(alone=FEW, by_call=True)
-def weak_contacts(setting: Setting, sample: Sample) -> Errors:
+@lanes(alone=FEW, by_call=True, walks=True)
+def weak_contacts(setting: Setting, sample: Sample, likely: Likely) -> Errors:
     """Errors of the same contact by second moments: mean squared errors of r and n̂ under noise,
     from points √6 deviations to either side along each axis of its ellipsoid.
 
@@ -235,28 +266,30 @@ def weak_contacts(setting: Setting, sample: Sample) -> Errors:
     J. K. Uhlmann, Proc. IEEE 92 (2004) 401-422): if the force is only a few deviations, the contact
     is far from linear in them.
     """
-    probable = _probable(setting, sample)
+    reading = _Reading(setting.rod, _clamp_of(setting, sample), likely.load, likely.which)
     covariance = jnp.asarray(sample.covariance)
     # In clamp axes, so that the points turn with the clamp.
-    both, contact = jnp.kron(jnp.eye(2), rotation_matrix(sample.orientation)), probable.contact
+    both = jnp.kron(jnp.eye(2), rotation_matrix(sample.orientation))
     root = _product(both, cholesky(_product(_product(both.T, covariance), both)))
     steps = math.sqrt(6) * jnp.concatenate([root.T, -root.T])
-    found = jax.vmap(_observed, in_axes=(0, None, None))(
-        probable.wrench + steps, probable.held, covariance
-    )
-    reach = jax.vmap(_within_reach)(found.reach) - contact.reach
+
+    def contact(wrench: Wrench) -> Contact:
+        return reading.contact(single_contact(wrench, covariance)[0])
+
+    found = jax.vmap(contact)(likely.wrench + steps)
+    reach = jax.vmap(_within_reach)(found.reach) - likely.reach
     # Perpendicular to n̂: a unit vector can only turn.
-    along = jnp.sum(found.direction * contact.direction, axis=1, keepdims=True)
-    direction = found.direction - along * contact.direction
+    along = jnp.sum(found.direction * likely.direction, axis=1, keepdims=True)
+    direction = found.direction - along * likely.direction
     of_reach, of_direction = (_product(part.T, part) / len(steps) for part in (reach, direction))
     # A contact that looks tangential may be one at the tip of a still unbent rod, as likely as
     # noise makes one look like the other.
-    towards = probable.held.tip - contact.reach
-    of_reach += jnp.exp(-(probable.off_straight**2) / 2) * jnp.outer(towards, towards)
+    towards = likely.tip - likely.reach
+    of_reach += jnp.exp(-(likely.off_straight**2) / 2) * jnp.outer(towards, towards)
     return Errors(of_reach * setting.length**2, of_direction)
 
 
-@lanes()
+@lanes(by_call=True, walks=True)
 def sensitivities_of(setting: Setting, sample: Sample) -> Observed:
     """Derivatives of a contact with respect to `vibrissa.tolerances.PARAMETERS`, for given
     readings.
@@ -264,23 +297,8 @@ def sensitivities_of(setting: Setting, sample: Sample) -> Observed:
     return _by_setup(_probable(setting, sample), sample, setting.rig)
 
 
-@lanes()
-def arc_lengths_of(setting: Setting, sample: Sample, near: Scalar) -> tuple[Scalar, Scalar]:
-    """Arc length of the most probable single contact, also beyond the tip, and its standard
-    deviation; of several contacts, that of the one nearest to an arc length.
-    """
-    held, covariance = _held(setting, sample, near), jnp.asarray(sample.covariance)
-
-    def arc_length(wrench: Wrench) -> Scalar:
-        single, _ = single_contact(wrench, covariance)
-        return held.contact(single).arc_length
-
-    value, slope = jax.value_and_grad(arc_length)(held.wrench)
-    return value, jnp.sqrt(slope @ covariance @ slope)
-
-
-def _held(setting: Setting, sample: Sample, near: Scalar | None = None) -> _Held:
-    """Of several contacts that may be the true one, the first or the nearest."""
+def _held(setting: Setting, sample: Sample) -> _Held:
+    """Of several contacts that may be the true one, the first."""
     wrench = jnp.concatenate([sample.force / setting.force, sample.moment / setting.moment])
     rod, clamp = setting.rod, _clamp_of(setting, sample)
     free = rod.free(clamp)
@@ -289,15 +307,15 @@ def _held(setting: Setting, sample: Sample, near: Scalar | None = None) -> _Held
     found = candidates_at(setting, sample)
     if rod.candidates > 1:
         fits = _explain(setting, sample, found)
-        away = 0.0 if near is None else jnp.abs(found.arc_length - near)
-        which, several = jnp.argmin(jnp.where(fits, away, jnp.inf)), jnp.sum(fits) > 1
+        which, several = jnp.argmax(fits), jnp.sum(fits) > 1
     measured = jax.tree.map(lambda part: part[which], found)
     if not rod.loaded:
-        return _Held(rod, clamp, wrench, wrench, tip, measured, None, which, several)
+        reading = _Reading(rod, clamp, None, which)
+        return _Held(reading, wrench, wrench, tip, measured, several)
     load = measured.load
     load = jnp.where(jnp.all(jnp.isfinite(load)), load, free.reactions)
-    apart = wrench - load, wrench - free.reactions
-    return _Held(rod, clamp, *apart, tip, measured, load, which, several, free.sound)
+    apart, reading = (wrench - load, wrench - free.reactions), _Reading(rod, clamp, load, which)
+    return _Held(reading, *apart, tip, measured, several, free.sound)
 
 
 def candidates_at(setting: Setting, sample: Sample) -> Contact:
@@ -348,7 +366,7 @@ def candidates_of(setting: Setting, sample: Sample) -> tuple[Contact, Bool[Array
     return found, _explain(setting, sample, found)
 
 
-@lanes(alone=FEW, by_call=True)
+@lanes(alone=FEW, by_call=True, walks=True)
 def deviations_of_candidates(setting: Setting, sample: Sample) -> Float[Array, "k"]:
     """Standard deviations of the arc lengths (k,) of `candidates_of` [L], for known noise."""
     wrench = jnp.concatenate([sample.force / setting.force, sample.moment / setting.moment])
@@ -423,29 +441,49 @@ def _probable(setting: Setting, sample: Sample) -> _Probable:
     measured = held.wrench
     single, deviation = single_contact(measured, covariance)
     straight, off_straight = _unbent_tip(single, held.tip, covariance)
-    wrench = _within_the_rod(single, straight, off_straight, held, covariance)
-    contact = held.contact(wrench)
+    wrench, read = _within_the_rod(single, straight, off_straight, held, covariance)
+    contact = read.contact._replace(reach=_within_reach(read.contact.reach))
+    # Errors pass through the projection onto a single contact, but not through the limit at the
+    # tip, which would cut them off.
+    across = jnp.roll(wrench, 3)
+    spread = covariance @ across
+    onto = spread / jnp.sum(across * spread)
+    slopes = jax.tree.map(
+        lambda slope: slope - jnp.sum(slope * onto, axis=-1, keepdims=True) * across, read.slopes
+    )
     couple = jnp.roll(measured, 3)
-    slopes = jax.jacfwd(_observed)(wrench, held, covariance)
     return _Probable(
         held,
-        wrench,
-        contact._replace(reach=_within_reach(contact.reach)),
+        Likely(
+            wrench,
+            contact.reach,
+            contact.direction,
+            held.tip,
+            off_straight,
+            jnp.asarray(held.reading.which),
+            held.reading.load,
+        ),
+        contact,
         deviation,
         slopes._replace(single=couple / jnp.sqrt(couple @ covariance @ couple)),
         # By more than rounding, which puts contacts right at the tip on either side of it.
         jnp.max(jnp.abs(wrench - single)) > _RESOLVED * jnp.max(jnp.abs(wrench)),
-        off_straight,
     )
 
 
-def _observed(measured: Wrench, held: _Held, covariance: Spread) -> Observed:
-    """Errors pass through the projection onto a single contact, but not through the limit at the
-    tip, which would cut them off.
-    """
-    wrench, deviation = single_contact(measured, covariance)
-    contact = held.contact(wrench)
-    return Observed(*contact[:4], deviation)
+def _read(held: _Held, wrench: Wrench) -> _Read:
+    """What a wrench says about its contact, and how that changes with it."""
+
+    def seen(wrench: Wrench) -> tuple[Observed, tuple[Contact, Scalar]]:
+        contact, alone = held.reading.contact(wrench), wrench
+        if held.reading.load is not None:
+            # What the loads do there depends on how the rod is bent.
+            alone = wrench + held.reading.load - contact.load
+        couple = jnp.sum(alone[:3] * alone[3:])
+        return Observed(*contact[:4], couple), (contact, couple)
+
+    slopes, (contact, couple) = jax.jacfwd(seen, has_aux=True)(wrench)
+    return _Read(contact, slopes, couple)
 
 
 def _carried(slopes: Observed, covariance: Float[AnyArray, "p p"]) -> Observed:
@@ -470,9 +508,9 @@ def _by_setup(probable: _Probable, sample: Sample, rig: Rig | None) -> Observed:
     another place: derivatives with respect to these parameters.
     """
     slopes, contact, turn = probable.slopes, probable.contact, rotation_matrix(sample.orientation)
+    wrench = probable.likely.wrench
     force, moment, reach, direction = (
-        part @ turn
-        for part in (probable.wrench[:3], probable.wrench[3:], contact.reach, contact.direction)
+        part @ turn for part in (wrench[:3], wrench[3:], contact.reach, contact.direction)
     )
     wrench = jnp.concatenate([force, moment])
     by = changes(rig, wrench, reach, direction, jnp.asarray(sample.velocity))
@@ -493,49 +531,72 @@ def _product(first: Float[AnyArray, "*k l"], second: Float[AnyArray, "l m"]) -> 
     return jnp.sum(jnp.asarray(first)[..., None] * second, axis=-2)
 
 
+class _Sought(NamedTuple):
+    """On the way to the most probable wrench: where to look next, and what was seen before."""
+
+    wrench: Wrench
+    read: _Read
+    """Of the wrench before."""
+    steps: Int[Array, ""]
+    beyond: Flag
+    """Whether the measured contact is beyond the tip."""
+    before: Scalar
+    """What the condition of a single contact alone changes, as in `_meeting`."""
+    last: Flag
+    """Whether this wrench is the one."""
+    done: Flag
+
+
 def _within_the_rod(
     wrench: Wrench,
     straight: Wrench,
     off_straight: Scalar,
     held: _Held,
     covariance: Spread,
-) -> Wrench:
-    """The most probable wrench of a single contact with s₁ ≤ L: a contact beyond the tip by no more
-    than noise explains is one at the tip.
+) -> tuple[Wrench, _Read]:
+    """The most probable wrench of a single contact with s₁ ≤ L, and what it says: a contact beyond
+    the tip by no more than noise explains is one at the tip.
     """
-    plain = isinstance(held.rod, Elastica)
+    plain = isinstance(held.reading.rod, Elastica)
     given = wrench if plain else held.wrench
 
-    def conditions(wrench: Wrench) -> tuple[Float[Array, "k"], Float[Array, "k"]]:
-        """Logarithm of s₁, and m0·f0 of what the contact itself does to the clamp."""
-        contact, alone = held.contact(wrench), wrench
-        if held.load is not None:
-            # What the loads do there depends on how the rod is bent.
-            alone = wrench + held.load - contact.load
-        couple = jnp.sum(alone[:3] * alone[3:])
-        values = jnp.stack([jnp.log(contact.arc_length), couple])
-        # A plain rod stays one of a single contact when moved to its tip.
-        values = values[:1] if plain else values
-        return values, values
-
-    def step(last: Any) -> Any:
-        done, at, _, _, beyond, _, before = last
-        slopes, values = jax.jacfwd(conditions, has_aux=True)(at)
-        beyond = jnp.where(done == 0, values[0] > 0, beyond)
+    def step(sought: _Sought) -> _Sought:
+        at, first = sought.wrench, sought.steps == 0
+        read = _read(held, at)
+        # Of the logarithm of s₁, and of a single contact. A plain rod stays one of a single contact
+        # when moved to its tip.
+        s1, count = read.contact.arc_length, 1 if plain else 2
+        values = jnp.stack([jnp.log(s1), read.couple])[:count]
+        slopes = jnp.stack([read.slopes.arc_length / s1, read.slopes.single])[:count]
+        beyond = jnp.where(first, values[0] > 0, sought.beyond)
         moved, square, of_couple = _meeting(given, at, values, slopes, covariance)
         # From beyond the tip: at the tip the couple's slope depends on the side.
-        before = jnp.where(done == 0, of_couple, before)
-        change = jnp.max(jnp.abs(moved - at)) > _SETTLED * jnp.max(jnp.abs(wrench))
-        go_on = beyond & change & (done + 1 < _TIP_STEPS)
-        return done + 1, moved, square, values[0], beyond, go_on, before
+        before = jnp.where(first, of_couple, sought.before)
+        settled = jnp.max(jnp.abs(moved - at)) <= _SETTLED * jnp.max(jnp.abs(wrench))
+        stops = ~beyond | settled | (sought.steps + 1 >= _TIP_STEPS)
+        near = (jnp.abs(values[0]) < TIP) & (square - before < _TIP_DEVIATIONS**2)
+        chosen = jnp.where(off_straight < _TIP_DEVIATIONS, straight, wrench)
+        chosen = jnp.where(near, jnp.where(settled, at, moved), chosen)
+        chosen = jnp.where(beyond, chosen, at)
+        done = sought.last | (stops & jnp.all(chosen == at))
+        onward = jnp.where(stops, chosen, moved)
+        return _Sought(
+            jnp.where(sought.last, at, onward),
+            read,
+            sought.steps + 1,
+            beyond,
+            before,
+            stops,
+            done,
+        )
 
-    none, yes = jnp.zeros(()), jnp.ones((), dtype=bool)
-    start = jnp.zeros((), dtype=int), wrench, none, none, yes, yes, none
-    found = lax.while_loop(lambda last: last[-2], step, start)
-    _, limited, square, value, beyond, _, before = found
-    near = (jnp.abs(value) < TIP) & (square - before < _TIP_DEVIATIONS**2)
-    chosen = jnp.where(near, limited, jnp.where(off_straight < _TIP_DEVIATIONS, straight, wrench))
-    return jnp.where(beyond, chosen, wrench)
+    none, no = jnp.zeros(()), jnp.zeros((), dtype=bool)
+    blank = jax.tree.map(
+        lambda part: jnp.zeros(part.shape, part.dtype), jax.eval_shape(_read, held, wrench)
+    )
+    start = _Sought(wrench, blank, jnp.zeros((), dtype=int), no, none, no, no)
+    found: _Sought = lax.while_loop(lambda sought: ~sought.done, step, start)
+    return found.wrench, found.read
 
 
 def _meeting(

@@ -122,7 +122,8 @@ def reconstruct(
         found = noisy_contacts(setting, samples)
         weak = np.flatnonzero(found.weak & (found.kind != ContactKind.NONE))
         if weak.size:
-            moments: Any = weak_contacts(setting, jax.tree.map(lambda part: part[weak], samples))
+            rows = jax.tree.map(lambda part: part[weak], (samples, found.likely))
+            moments: Any = weak_contacts(setting, *rows)
             for whole, part in zip(found.noise, moments, strict=True):
                 whole[weak] = part
     result = _reconstruction(rod, reactions, friction, found)
@@ -141,8 +142,9 @@ def compile_for(rod: Rod, reactions: Reactions) -> None:
     """
     reconstruct(rod, reactions, check=False)
     if reactions.covariance is not None:
-        one = jax.tree.map(lambda part: part[:1], samples_of(rod, reactions))
-        weak_contacts(setting_of(rod, reactions), one)
+        setting, samples = setting_of(rod, reactions), samples_of(rod, reactions)
+        found: Any = noisy_contacts(setting, samples)
+        weak_contacts(setting, *jax.tree.map(lambda part: part[:1], (samples, found.likely)))
 
 
 def _reconstruction(
@@ -151,7 +153,7 @@ def _reconstruction(
     shape = reactions.trail.shape
     rows: Any = jax.tree.map(lambda part: part.reshape(*shape, *part.shape[1:]), found)
     given = rows._asdict()
-    noise, setup, _ = (given.pop(name) for name in ("noise", "setup", "weak"))
+    noise, setup, *_ = (given.pop(name) for name in ("noise", "setup", "weak", "likely"))
     own: Any = Errors(None, None)
     if noise is not None:
         by_pose = pose_errors(reactions, rows.point, rows.force_direction)

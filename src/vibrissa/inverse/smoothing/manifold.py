@@ -124,7 +124,7 @@ def linear_at(
     return Linear(x, value, slope)
 
 
-_LINEAR = lanes()(lambda rod, pose, x: linear_at(x, rod, pose))
+_LINEAR = lanes(walks=True)(lambda rod, pose, x: linear_at(x, rod, pose))
 
 
 def linearised(rod: RodModel, pose: Pose | None, x: Float[np.ndarray, "n coordinates"]) -> Linear:

@@ -67,7 +67,7 @@ class Reading(NamedTuple):
         return self.by_step.turn - self.by_step.shift @ cross_matrices(arm)
 
 
-@lanes(width=16)
+@lanes(width=16, walks=True)
 def readings(shared: tuple[Surface, Bench], start: State, pose: Pose) -> Reading:
     """Readings of rows in contact, each equilibrium sought from a starting state, under that
     state's tangential force.
@@ -130,7 +130,7 @@ class Free(NamedTuple):
     """Points of it, in the world."""
 
 
-@lanes(width=16)
+@lanes(width=16, walks=True)
 def free_readings(shared: tuple[Bench, Float[Array, "k"]], pose: Pose) -> Free:
     """Readings of rows without contact, and points of the rod there, at fractions of its length."""
     given, share = shared

@@ -18,7 +18,6 @@ derivatives on both sides.
 """
 
 import math
-import sys
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import replace
@@ -269,9 +268,9 @@ class Kirchhoff(RodModel):
         )
 
     @property
-    def bulky(self) -> int:
-        """Up to how many rows, as in `vibrissa.numerics.lanes`: loads make twice as much code."""
-        return sys.maxsize if self.loaded else 0
+    def bulky(self) -> bool:
+        """As in `vibrissa.numerics.lanes`: loads make twice as much code."""
+        return self.loaded
 
     @property
     def loaded(self) -> bool:

@@ -104,7 +104,7 @@ class Lanes(Generic[Shared, Row]):
         count = len(jax.tree.leaves(rows)[0])
         if count == 0:
             return self._nothing(shared, rows)
-        if self._by_call and count <= max(_told(shared, "bulky"), default=0):
+        if self._by_call and any(_told(shared, "bulky")):
             return self._called(shared, rows, count)
         kernel, width, size = self._kernel(shared, count)
 
@@ -261,11 +261,10 @@ def lanes(
     alone
         Up to this many rows are taken one after another, by a scalar kernel.
     by_call
-        Whether rows are called one by one where shared arguments are `bulky`: up to the number of
-        which that property says.
+        Whether rows are called one by one where shared arguments are `bulky`.
     walks
-        Whether rows iterate, each in its own way: shared arguments say by `walk_width`, not
-        `lane_width`, how many of them side by side are worth it.
+        Whether rows iterate, each in its own way, or need derivatives: shared arguments say by
+        `walk_width`, not `lane_width`, how many of them side by side are worth it.
     """
     return lambda one: Lanes(
         one, width=width, blocks=blocks, alone=alone, by_call=by_call, walks=walks

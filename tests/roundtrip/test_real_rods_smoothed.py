@@ -107,6 +107,32 @@ def test_points_are_better_than_raw_ones_and_within_their_ellipsoids(name: str) 
 
 
 @pytest.mark.parametrize("name", NAMES)
+def test_covariances_are_what_points_answer_to_small_errors(name: str) -> None:
+    """Before the tip: points of wrenches that are a deviation off to either side, one component at
+    a time.
+    """
+    scan, found = swept(name)
+    rows = np.flatnonzero(scan.kind == vb.ContactKind.TANGENTIAL)[::12]
+    deviation = 1e-6 * np.repeat([found.rod.force_scale, found.rod.moment_scale], 3)
+    steps = np.concatenate([np.diag(deviation), -np.diag(deviation), np.zeros((1, 6))])
+    true = np.hstack([scan.reactions.force[rows], scan.reactions.moment[rows]])
+    # Reactions are given about the clamp in world axes, their covariance too.
+    wrench = (true[:, None] + steps).reshape(-1, 6)
+    every = np.repeat(rows, len(steps))
+    trail = vb.Trail(scan.trail.position[every], scan.trail.orientation[every])
+    given = vb.Reactions(trail, wrench[:, :3], wrench[:, 3:], covariance=np.diag(deviation**2))
+    seen = vb.reconstruct(found.rod, given, check=False)
+    assert np.all(seen.kind == vb.ContactKind.TANGENTIAL)
+    point = seen.point.reshape(len(rows), len(steps), 3)
+    change = (point[:, :6] - point[:, 6:12]) / 2
+    assert seen.covariance_noise is not None
+    stated = seen.covariance_noise.reshape(len(rows), len(steps), 3, 3)[:, -1]
+    measured = np.einsum("nki,nkj->nij", change, change)
+    assert len(rows) >= 5
+    np.testing.assert_allclose(measured, stated, rtol=1e-5, atol=1e-5 * np.abs(stated).max())
+
+
+@pytest.mark.parametrize("name", NAMES)
 def test_a_plain_rod_in_its_place_is_wrong_and_said_to_be(name: str) -> None:
     """The recordings whose contacts are right above: no row passes for sound, neither sample by
     sample nor smoothed, and the sweep as a whole is said to contradict the rod.

@@ -123,7 +123,7 @@ class Observed(NamedTuple):
     """m0·f0, in standard deviations."""
 
 
-class _Reading(NamedTuple):
+class _Reader(NamedTuple):
     """What a wrench at the clamp says about its contact, under given loads."""
 
     rod: RodModel
@@ -142,7 +142,7 @@ class _Reading(NamedTuple):
 class _Held(NamedTuple):
     """A rod at its clamp, and its reactions without those of distributed loads."""
 
-    reading: _Reading
+    reader: _Reader
     wrench: Wrench
     """Of the contact alone."""
     push: Wrench
@@ -165,6 +165,8 @@ class _Read(NamedTuple):
     """That of m0·f0 is of what the contact itself does to the clamp [(EI)²/L³]."""
     couple: Scalar
     """m0·f0 of what the contact itself does to the clamp."""
+    load: Float[Array, "6 6"] | None
+    """Derivatives of what the loads contribute to the reactions, if there are any."""
 
 
 class Likely(NamedTuple):
@@ -266,7 +268,7 @@ def weak_contacts(setting: Setting, sample: Sample, likely: Likely) -> Errors:
     J. K. Uhlmann, Proc. IEEE 92 (2004) 401-422): if the force is only a few deviations, the contact
     is far from linear in them.
     """
-    reading = _Reading(setting.rod, _clamp_of(setting, sample), likely.load, likely.which)
+    reader = _Reader(setting.rod, _clamp_of(setting, sample), likely.load, likely.which)
     covariance = jnp.asarray(sample.covariance)
     # In clamp axes, so that the points turn with the clamp.
     both = jnp.kron(jnp.eye(2), rotation_matrix(sample.orientation))
@@ -274,7 +276,7 @@ def weak_contacts(setting: Setting, sample: Sample, likely: Likely) -> Errors:
     steps = math.sqrt(6) * jnp.concatenate([root.T, -root.T])
 
     def contact(wrench: Wrench) -> Contact:
-        return reading.contact(single_contact(wrench, covariance)[0])
+        return reader.contact(single_contact(wrench, covariance)[0])
 
     found = jax.vmap(contact)(likely.wrench + steps)
     reach = jax.vmap(_within_reach)(found.reach) - likely.reach
@@ -310,12 +312,12 @@ def _held(setting: Setting, sample: Sample) -> _Held:
         which, several = jnp.argmax(fits), jnp.sum(fits) > 1
     measured = jax.tree.map(lambda part: part[which], found)
     if not rod.loaded:
-        reading = _Reading(rod, clamp, None, which)
-        return _Held(reading, wrench, wrench, tip, measured, several)
+        reader = _Reader(rod, clamp, None, which)
+        return _Held(reader, wrench, wrench, tip, measured, several)
     load = measured.load
     load = jnp.where(jnp.all(jnp.isfinite(load)), load, free.reactions)
-    apart, reading = (wrench - load, wrench - free.reactions), _Reading(rod, clamp, load, which)
-    return _Held(reading, *apart, tip, measured, several, free.sound)
+    apart, reader = (wrench - load, wrench - free.reactions), _Reader(rod, clamp, load, which)
+    return _Held(reader, *apart, tip, measured, several, free.sound)
 
 
 def candidates_at(setting: Setting, sample: Sample) -> Contact:
@@ -448,6 +450,9 @@ def _probable(setting: Setting, sample: Sample) -> _Probable:
     across = jnp.roll(wrench, 3)
     spread = covariance @ across
     onto = spread / jnp.sum(across * spread)
+    if read.load is not None:
+        # They are taken off before.
+        across = across - across @ read.load
     slopes = jax.tree.map(
         lambda slope: slope - jnp.sum(slope * onto, axis=-1, keepdims=True) * across, read.slopes
     )
@@ -460,8 +465,8 @@ def _probable(setting: Setting, sample: Sample) -> _Probable:
             contact.direction,
             held.tip,
             off_straight,
-            jnp.asarray(held.reading.which),
-            held.reading.load,
+            jnp.asarray(held.reader.which),
+            held.reader.load,
         ),
         contact,
         deviation,
@@ -474,16 +479,16 @@ def _probable(setting: Setting, sample: Sample) -> _Probable:
 def _read(held: _Held, wrench: Wrench) -> _Read:
     """What a wrench says about its contact, and how that changes with it."""
 
-    def seen(wrench: Wrench) -> tuple[Observed, tuple[Contact, Scalar]]:
-        contact, alone = held.reading.contact(wrench), wrench
-        if held.reading.load is not None:
+    def seen(wrench: Wrench) -> tuple[tuple[Observed, Wrench | None], tuple[Contact, Scalar]]:
+        contact, alone = held.reader.contact(wrench), wrench
+        if held.reader.load is not None:
             # What the loads do there depends on how the rod is bent.
-            alone = wrench + held.reading.load - contact.load
+            alone = wrench + held.reader.load - contact.load
         couple = jnp.sum(alone[:3] * alone[3:])
-        return Observed(*contact[:4], couple), (contact, couple)
+        return (Observed(*contact[:4], couple), contact.load), (contact, couple)
 
-    slopes, (contact, couple) = jax.jacfwd(seen, has_aux=True)(wrench)
-    return _Read(contact, slopes, couple)
+    (slopes, by_load), (contact, couple) = jax.jacfwd(seen, has_aux=True)(wrench)
+    return _Read(contact, slopes, couple, by_load)
 
 
 def _carried(slopes: Observed, covariance: Float[AnyArray, "p p"]) -> Observed:
@@ -557,7 +562,7 @@ def _within_the_rod(
     """The most probable wrench of a single contact with s₁ ≤ L, and what it says: a contact beyond
     the tip by no more than noise explains is one at the tip.
     """
-    plain = isinstance(held.reading.rod, Elastica)
+    plain = isinstance(held.reader.rod, Elastica)
     given = wrench if plain else held.wrench
 
     def step(sought: _Sought) -> _Sought:

@@ -5,6 +5,7 @@ orientation.
 import unicodedata
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Sequence
+from re import compile as pattern
 from re import finditer, sub
 from typing import NamedTuple
 
@@ -23,6 +24,7 @@ _WORDS = {
 _MEANING = {
     quantity: frozenset(words.split()) for quantity, words in reversed(list(_WORDS.items()))
 }
+_KNOWN = frozenset().union(*_MEANING.values())
 _OTHER_WORDS = (
     "target cmd command commanded desired setpoint soll std sigma vel velocity speed acc accel "
     "acceleration gyro omega error joint status sequence"
@@ -31,6 +33,8 @@ _OTHERS = frozenset(_OTHER_WORDS.split())
 """Of columns that hold something else of the same name."""
 _ANGLES = (("roll", "pitch", "yaw"), ("w", "p", "r"), ("c", "b", "a"))
 """About the fixed axes x, y and z: also as robots of FANUC and of KUKA name them."""
+_NUMBERS = pattern(r"(?:[-+.,;:|\d\s]|[eE](?=[-+\d]))*")
+"""Cells of the thousand rows that are no header, also where they are split at the wrong places."""
 _WHOLE = (("sec", "secs"), ("nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds"))
 
 
@@ -57,6 +61,7 @@ def groups(names: Sequence[str], arrays: Collection[str] = ()) -> dict[str, list
     """All sets of columns that may be each quantity, by their names; none if nothing fits.
     `arrays` are the names that hold several columns each.
     """
+    names = [name for name in names if not _NUMBERS.fullmatch(name)]
     together = defaultdict[tuple[str, str], dict[str, Part]](dict)
     for part in filter(None, map(part_of, names)):
         if part.component or part.quantity == "time" or part.name in arrays:
@@ -88,8 +93,6 @@ def _cut(name: str) -> tuple[str, str]:
 
 def part_of(name: str) -> Part | None:
     """What a column is, None if its name says nothing."""
-    if not any(map(str.isalpha, name)):  # as in each of a thousand rows that are no header
-        return None
     tokens = _tokens(name)
     stem, last = _cut(name)
     # The m of `x_m` is a unit, that of `log/m` a moment.
@@ -133,9 +136,8 @@ def _components(
     """Candidates for the component of a name: its text, its place, and the word it is joined to.
     `fx` is one; then single letters, and numbers last.
     """
-    known = frozenset().union(*_MEANING.values())
     for token, (_, stop) in reversed(tokens):
-        if token[-1] in QUATERNION and token[:-1] in known:
+        if token[-1] in QUATERNION and token[:-1] in _KNOWN:
             yield token[-1], (stop - 1, stop), token[:-1]
     yield from ((token, place, "") for token, place in reversed(tokens) if token in QUATERNION)
     yield from ((token, place, "") for token, place in reversed(tokens) if token in set("0123456"))

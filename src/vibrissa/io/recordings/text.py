@@ -109,17 +109,26 @@ def _header(
     if exactly:
         stated = match(r'"?sep=(.)', "".join(lines[:1]))
         delimiters = stated[1] if stated else ","
-    found = [
-        (number, [name.strip() for name in split(line.lstrip("#% \t"), delimiter)], delimiter)
-        for number, line in enumerate(lines[skip : skip + LONGEST_PREAMBLE], skip)
-        for delimiter in delimiters
-        if line.strip("#% \t")
-    ]
-    if not found:
+    looked_at = list(enumerate(lines[skip : skip + LONGEST_PREAMBLE], skip))
+    filled = [(number, line) for number, line in looked_at if line.strip("#% \t")]
+    if not filled:
         raise InputError(
             f"{file}: {f'{len(lines)} lines' if lines else 'empty'}; allowed is CSV with the "
             f"columns {','.join(exactly or wanted[:1])} after skip_lines = {skip}"
         )
+
+    sought = [_folded(name).strip("/") for name in wanted]
+    folded = [_folded(line) for _, line in filled]
+    promising = [
+        numbered
+        for numbered, line in zip(filled, folded, strict=True)
+        if any(name in line for name in sought)
+    ]
+    found = [
+        (number, [name.strip() for name in split(line.lstrip("#% \t"), delimiter)], delimiter)
+        for number, line in promising or filled[:1]
+        for delimiter in delimiters
+    ]
 
     def score(header: tuple[int, list[str], str]) -> tuple[int, bool]:
         is_plain = not lines[header[0]].lstrip().startswith(_COMMENTS)
@@ -129,6 +138,11 @@ def _header(
     while len(names) > 1 and not names[-1]:
         names.pop()
     return number, names, delimiter
+
+
+def _folded(text: str) -> str:
+    """A text, or a part of it, without case and quotes."""
+    return text.replace('"', "").casefold()
 
 
 def _units(

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from vibrissa.contact import Law, Reached, Scene
-from vibrissa.forward.march import Steps, entering, march
+from vibrissa.forward.march import SHARP, Steps, entering, march
 from vibrissa.forward.path import Stretch, chosen, either
 from vibrissa.numerics.bracket import roots
 
@@ -98,6 +98,7 @@ def stepped(
         reached=start.reached,
         sign=np.where(start.figure > 0, 1.0, -1.0),
         fanned=np.ones(len(fraction), dtype=bool),
+        tolerance=np.full(len(fraction), SHARP),
     )
     steps = march(scene, law, legs)
     found: Steps = chosen(steps, np.s_[:, 1:])

@@ -54,11 +54,13 @@ class Legs(NamedTuple):
     sign: Scalar
     """Sign of the Jacobian's determinant: negative on a stable branch."""
     fanned: Bool[Any, ""]
-    """Each position is one step from where the lane enters, and solved to rounding: trial places on
-    one stretch, in search of an event.
+    """Each position is one step from where the lane enters: trial places on one stretch, in search
+    of an event.
     """
     guarded: Bool[Any, ""]
     """A contact that moves far, or elsewhere than expected, is lost."""
+    tolerance: Scalar
+    """Residual from which the next Newton step is the last."""
 
 
 class Steps(NamedTuple):
@@ -217,7 +219,9 @@ def entering(scene: Scene, law: Law, clamps: Clamp) -> Legs:
     reached, meeting = (nowhere(scene, law, *shape, fill=0.0) for shape in shapes)
     modes, signs = np.full(count, int(Mode.CONTACT)), np.full(count, STABLE)
     fanned, guarded = first > 0, first == 0
-    return Legs(clamps, never, never.copy(), meeting, first, modes, reached, signs, fanned, guarded)
+    tolerance = np.full(count, tolerance_of(scene, law))
+    given = first, modes, reached, signs, fanned, guarded, tolerance
+    return Legs(clamps, never, never.copy(), meeting, *given)
 
 
 def march(scene: Scene, law: Law, legs: Legs) -> Steps:
@@ -250,9 +254,12 @@ def _sized(legs: Legs) -> tuple[Lanes[Any, Any], Legs]:
     return (_fans if short else _trails), legs
 
 
-def from_seeds(scene: Scene, law: Law, clamp: Clamp, seeds: State) -> Steps:
+def from_seeds(
+    scene: Scene, law: Law, clamp: Clamp, seeds: State, tolerance: float = SHARP
+) -> Steps:
     """Newton's method from states (k, …) at one clamp pose, to steps (k, …) in the same order: each
-    is a first contact on a lane that then goes on as if it had not happened.
+    is a first contact on a lane that then goes on as if it had not happened. The step from a
+    residual within the tolerance is the last.
     """
     count, room = len(seeds.force), _SHORTEST_TRAIL - 1
     rows = -(-count // room)
@@ -267,6 +274,7 @@ def from_seeds(scene: Scene, law: Law, clamp: Clamp, seeds: State) -> Steps:
         meeting=legs.meeting._replace(state=chosen(seeds, which)),
         mode=np.full(rows, int(Mode.FREE)),
         fanned=np.ones(rows, dtype=bool),
+        tolerance=np.full(rows, tolerance),
     )
     parts = [
         march(scene, law, chosen(legs, np.s_[first : first + SINGLE]))
@@ -334,11 +342,9 @@ def _advance(
         for k in (1, 2, 3)
     ]
     side = before.state.point - come_from[0].point
-    usual = tolerance_of(scene, law)
-    tolerance = jnp.where(legs.fanned, SHARP, usual)
-    found = solved(scene, law, guess, clamp, before, side, active, tolerance)
+    found = solved(scene, law, guess, clamp, before, side, active, legs.tolerance)
 
-    converged = found.residual <= usual
+    converged = found.residual <= tolerance_of(scene, law)
     state = found.reached.state
     moved = _length(state.point - last.state.point)
     missed = jnp.min(joined(*(_length(state.point - order[:3]) for order in foretold[:-1])))

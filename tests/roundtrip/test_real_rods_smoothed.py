@@ -133,6 +133,21 @@ def test_covariances_are_what_points_answer_to_small_errors(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
+def test_the_weakest_contacts_have_ellipsoids(name: str) -> None:
+    """With ten times the noise, which puts some of them behind the clamp."""
+    scan, found = swept(name)
+    scale = np.repeat([found.rod.force_scale, found.rod.moment_scale], 3)
+    noise = np.diag((np.repeat([2e-2, 8e-3], 3) * scale) ** 2)
+    seen = vb.reconstruct(found.rod, replace(scan.reactions, covariance=noise), check=False)
+    rows = np.flatnonzero(seen.in_contact)
+    assert seen.covariance is not None
+    semi_axes = np.sqrt(np.linalg.eigvalsh(seen.covariance[rows])) / LENGTH
+    assert np.all((semi_axes > 0) & (semi_axes < 1))
+    assert np.all(np.isfinite(seen.normal_covariance[rows]))
+    assert semi_axes[0, 2] > 0.1
+
+
+@pytest.mark.parametrize("name", NAMES)
 def test_a_plain_rod_in_its_place_is_wrong_and_said_to_be(name: str) -> None:
     """The recordings whose contacts are right above: no row passes for sound, neither sample by
     sample nor smoothed, and the sweep as a whole is said to contradict the rod.

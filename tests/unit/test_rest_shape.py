@@ -146,7 +146,7 @@ def test_coils_that_stay_apart_are_allowed() -> None:
         ),
         (
             lambda: ROD.curved(vb.RestShape.from_components((0, 0.06), np.zeros((2, 3)))),
-            "arc_length: 0.06 long, the rod 0.05",
+            "rest.arc_length: 0.06 long, the rod 0.05",
         ),
     ],
 )

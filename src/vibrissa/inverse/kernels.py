@@ -275,14 +275,20 @@ def weak_contacts(setting: Setting, sample: Sample, likely: Likely) -> Errors:
     root = _product(both, cholesky(_product(_product(both.T, covariance), both)))
     steps = math.sqrt(6) * jnp.concatenate([root.T, -root.T])
 
-    def contact(wrench: Wrench) -> Contact:
-        return reader.contact(single_contact(wrench, covariance)[0])
+    def seen(wrench: Wrench) -> tuple[Vector, Vector]:
+        wrench, _ = single_contact(wrench, covariance)
+        found, force = reader.contact(wrench), wrench[:3]
+        # A line of action that the rod does not meet passes behind the clamp.
+        met = jnp.isfinite(found.arc_length)
+        reach = jnp.where(met, found.reach, 0.0)
+        along = -force / jnp.sqrt(jnp.sum(force * force))
+        return _within_reach(reach), jnp.where(met, found.direction, along)
 
-    found = jax.vmap(contact)(likely.wrench + steps)
-    reach = jax.vmap(_within_reach)(found.reach) - likely.reach
+    reach, direction = jax.vmap(seen)(likely.wrench + steps)
+    reach = reach - likely.reach
     # Perpendicular to n̂: a unit vector can only turn.
-    along = jnp.sum(found.direction * likely.direction, axis=1, keepdims=True)
-    direction = found.direction - along * likely.direction
+    along = jnp.sum(direction * likely.direction, axis=1, keepdims=True)
+    direction = direction - along * likely.direction
     of_reach, of_direction = (_product(part.T, part) / len(steps) for part in (reach, direction))
     # A contact that looks tangential may be one at the tip of a still unbent rod, as likely as
     # noise makes one look like the other.

@@ -213,7 +213,7 @@ class Table(RestShape):
 
     def check(self, length: float) -> None:
         """As in `RestShape`."""
-        _covers(self.extent, length, "arc_length")
+        _covers(self.extent, length, "rest.arc_length")
 
     def at(self, s: ArrayLike) -> Components:
         """As in `RestShape`; the last values hold beyond the extent."""
@@ -239,7 +239,7 @@ class Spline(RestShape):
 
     def check(self, length: float) -> None:
         """As in `RestShape`."""
-        _covers(self.extent, length, "points")
+        _covers(self.extent, length, "rest.points")
 
     def at(self, s: ArrayLike) -> Components:
         """As in `RestShape`; the last values hold beyond the extent."""

@@ -111,8 +111,10 @@ def stable_equilibria(
     object within the rod's length; where the free rod lies inside it, and a little to the side;
     and around the points `near` which a contact is expected.
     """
-    seeds = seeds_around(scene, clamp, near, FORCES)
-    found = solutions(scene, clamp, FRICTIONLESS, eased(scene, clamp, seeds), sparing=True)
+    seeds = eased(scene, clamp, seeds_around(scene, clamp, near, FORCES))
+    # In closed form choosing takes longer than it saves.
+    sparing = scene.rod.rough is not None
+    found = solutions(scene, clamp, FRICTIONLESS, seeds, sparing=sparing)
     found = chosen(found, found.determinant < 0)
     count = len(found.residual)
     if not count:

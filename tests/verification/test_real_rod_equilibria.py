@@ -92,7 +92,8 @@ def test_each_is_an_equilibrium_of_the_rod_s_equation(name: str) -> None:
 
 def test_a_snap_leaves_one_equilibrium_for_another_that_is_lower() -> None:
     """Along the flank of a ball: the sweep's states just before and after are stable equilibria; the
-    one that it left is none any more, and the one that it fell into was there before.
+    one that it left is none any more, and the one that it fell into was there before. Of those that
+    a search from all starting points finds, it is the lowest stable one.
     """
     ball = vb.surfaces.Sphere(center=(0, 0, 0.95 * LENGTH), radius=0.35 * LENGTH)
     way = np.linspace(1.2, -1.6, 112)
@@ -116,3 +117,5 @@ def test_a_snap_leaves_one_equilibrium_for_another_that_is_lower() -> None:
     (fallen,) = near(before, scan.point[after], 0.05)
     assert fallen.stable
     assert scan.energy[after] < scan.energy[before] - 0.01 * ROD.moment_scale
+    lowest = min(one.energy for one in found[after] if one.stable)
+    assert scan.energy[after] == pytest.approx(lowest, abs=1e-10 * ROD.moment_scale)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import vibrissa as vb
+from vibrissa.mechanics.models import check_thick
 
 X = np.linspace(0, 1, 11)
 CONE = vb.Rod.tapered(
@@ -222,3 +223,13 @@ def section(knots: tuple[float, ...] = ENDS, **columns: object) -> vb.Section:
 def test_impossible_sections_are_named(make: object, message: str, no_shape_checks: None) -> None:
     with pytest.raises(ValueError, match=message):
         make()  # type: ignore[operator]
+
+
+def test_a_tip_of_a_ten_thousandth_bears_contact_and_no_thinner_one() -> None:
+    base, tip = 0.25e-3, 0.25e-7
+    check_thick(vb.Rod.tapered(length=0.08, base_radius=base, tip_radius=tip, youngs_modulus=1e9))
+    thinner = vb.Rod.tapered(
+        length=0.08, base_radius=base, tip_radius=0.999 * tip, youngs_modulus=1e9
+    )
+    with pytest.raises(ValueError, match=r"allowed is at least 0\.0001"):
+        check_thick(thinner)

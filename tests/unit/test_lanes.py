@@ -25,11 +25,40 @@ class Turned(NamedTuple):
     size: jax.Array
 
 
-@lanes(width=8, blocks=4, alone=True)
-def moment(factor: jax.Array, arm: Arm) -> Turned:
+class Factor(NamedTuple):
+    """What all rows share, whose code is large enough for a call of each row."""
+
+    value: jax.Array
+
+    @property
+    def bulky(self) -> bool:
+        """As in `vibrissa.numerics.lanes`."""
+        return True
+
+
+class Told(NamedTuple):
+    """Results of several kinds."""
+
+    turned: Turned
+    long: jax.Array
+    which: jax.Array
+
+
+def _moment(factor: jax.Array, arm: Arm) -> Turned:
     """R × F, times what all rows share."""
     found = factor * jnp.cross(arm.position, arm.force)
     return Turned(found, jnp.sqrt(jnp.sum(found**2)))
+
+
+moment = lanes(width=8, blocks=4, alone=True)(_moment)
+
+
+@lanes(by_call=True)
+def told(factor: Factor, arm: Arm) -> Told:
+    """The same, whether it is long, and its largest component."""
+    found = _moment(factor.value, arm)
+    which = jnp.argmax(jnp.abs(found.moment)).astype(jnp.int8)
+    return Told(found, found.size > 1, which)
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 8, 9, 32, 33, 300, 5001])
@@ -43,6 +72,19 @@ def test_every_row_gets_its_own_result(
     expected = 2 * np.cross(position, force)
     np.testing.assert_allclose(found.moment, expected, rtol=0, atol=1e-14)
     np.testing.assert_allclose(found.size, np.linalg.norm(expected, axis=1), rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 511, 512, 1100])
+def test_rows_that_are_called_are_like_others(count: int) -> None:
+    position, force = np.random.default_rng(count).normal(size=(2, count, 3))
+    found = told(Factor(np.array(2.0)), Arm(position, force))
+    expected = 2 * np.cross(position, force)
+    size = np.linalg.norm(expected, axis=1)
+    np.testing.assert_allclose(found.turned.moment, expected, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(found.turned.size, size, rtol=0, atol=1e-13)
+    np.testing.assert_array_equal(found.long, size > 1)
+    np.testing.assert_array_equal(found.which, np.argmax(np.abs(expected), axis=1))
+    assert (found.long.dtype, found.which.dtype) == (bool, np.int8)
 
 
 def test_within_a_thread_there_is_one(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,6 +14,7 @@ over rows as without: where a function asks for it, and shared arguments have a 
 each row is a call.
 """
 
+import math
 import os
 import threading
 from collections.abc import Callable, Sequence
@@ -96,6 +97,9 @@ class Lanes(Generic[Shared, Row]):
         self._known: set[object] = set()
         self._begun: set[object] = set()
         self._shapes: dict[object, Any] = {}
+        self._of_structure: dict[object, Callable[..., Any]] = {}
+        self._found: dict[object, Any] = {}
+        """No rows of what a call of a row finds."""
         self._of_width: dict[int, Callable[..., Any]] = {}
         self._compiling = threading.Lock()
 
@@ -122,16 +126,18 @@ class Lanes(Generic[Shared, Row]):
         )
 
     def _called(self, shared: Shared, rows: Any, count: int) -> Row:
-        shared, found = jax.tree.map(jnp.asarray, shared), list[Row]()
+        shared, found = jax.tree.map(jnp.asarray, shared), list[Array]()
         for first in range(0, count, FEW):
             last = min(first + FEW, count)
             some = jax.tree.map(lambda leaf, rows=slice(first, last): leaf[rows], rows)
             # A fixed number of rows, so that it is compiled once.
             part = jax.tree.map(lambda leaf: jnp.asarray(_filled(leaf, FEW)), some)
-            found.append(self._guarded(self._single, shared, part, 0))
-            call = partial(self._single, shared, part)
-            found += in_threads(call, range(1, last - first))
-        return jax.tree.map(lambda *parts: np.stack(parts), *found)
+            # A list in and a row of numbers out: handling trees takes as long as many rows do.
+            leaves, structure = jax.tree.flatten((shared, part))
+            call = self._single(structure)
+            found.append(self._guarded(call, leaves, 0))
+            found += in_threads(partial(call, leaves), range(1, last - first))
+        return _divided(np.stack(found), self._found[_shaped(structure, leaves)])
 
     def ahead(self, shared: Shared, *rows: Any) -> None:
         """Compile in a separate thread what a call with such rows will need: XLA leaves the other
@@ -193,15 +199,23 @@ class Lanes(Generic[Shared, Row]):
 
         return self._compiled(one, 1, self._size_alone)
 
-    @cached_property
-    def _single(self) -> Callable[..., Any]:
-        """The function of one of several rows."""
+    def _single(self, structure: Any) -> Callable[..., Any]:
+        """The function of one of several rows, which are given with what they share as the leaves
+        of a tree.
+        """
 
-        def single(shared: Shared, rows: Any, index: Array | int) -> Row:
-            return self._one(shared, *jax.tree.map(lambda leaf: leaf[index], rows))
+        def single(leaves: list[Array], index: Array | int) -> Array:
+            shared, rows = jax.tree.unflatten(structure, leaves)
+            found = self._one(shared, *jax.tree.map(lambda leaf: leaf[index], rows))
+            self._found[_shaped(structure, leaves)] = jax.tree.map(
+                lambda part: np.empty((0, *part.shape), part.dtype), found
+            )
+            return jnp.concatenate([jnp.ravel(part) * 1.0 for part in jax.tree.leaves(found)])
 
-        single.__name__ = self._one.__name__
-        return compiled(single)
+        if structure not in self._of_structure:
+            single.__name__ = self._one.__name__
+            self._of_structure[structure] = compiled(single)
+        return self._of_structure[structure]
 
     def _side_by_side(self, width: int) -> Callable[..., Any]:
         if width not in self._of_width:
@@ -269,6 +283,21 @@ def lanes(
     return lambda one: Lanes(
         one, width=width, blocks=blocks, alone=alone, by_call=by_call, walks=walks
     )
+
+
+def _shaped(structure: Any, leaves: list[Array]) -> object:
+    return structure, *(leaf.shape for leaf in leaves)
+
+
+def _divided(numbers: AnyArray, none: Any) -> Any:
+    """Numbers (rows, …) as a tree of arrays (rows, …) like those without rows."""
+    leaves, structure = jax.tree.flatten(none)
+    ends = np.cumsum([math.prod(leaf.shape[1:]) for leaf in leaves])
+    parts = [
+        part.reshape(-1, *leaf.shape[1:]).astype(leaf.dtype)
+        for part, leaf in zip(np.split(numbers, ends[:-1], axis=1), leaves, strict=True)
+    ]
+    return jax.tree.unflatten(structure, parts)
 
 
 def _branching(shared: Any) -> bool:

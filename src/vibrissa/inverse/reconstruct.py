@@ -113,7 +113,7 @@ def reconstruct(
     setting = under_friction(setting_of(rod, reactions), friction)._replace(
         threshold=float(chdtri(6, false_alarm)), rod=model_of(rod, steps_for(accuracy))
     )
-    samples = samples_of(rod, reactions)
+    samples = samples_of(rod, reactions, model=setting.rod)
     found: Any
     if reactions.covariance is None:
         many = reactions.force.size > _MANY

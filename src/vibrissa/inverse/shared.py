@@ -12,6 +12,8 @@ from vibrissa.inverse.arrays import Spread, Vectors, Wrenches
 from vibrissa.inverse.kernels import Errors, Sample, Setting, sensitivities_of
 from vibrissa.inverse.parameters import prepared, velocities_of
 from vibrissa.inverse.result import Reconstruction
+from vibrissa.mechanics.free import at_rest, clamps_at
+from vibrissa.mechanics.model import RodModel
 from vibrissa.mechanics.models import model_of
 from vibrissa.reactions import Reactions, turned_covariance
 from vibrissa.rod import Rod
@@ -60,13 +62,19 @@ def _steepest(friction: float | None) -> float:
     return max(STEEPEST, (1 + math.sin(math.atan(friction or 0.0))) / 2 + _MARGIN)
 
 
-def samples_of(rod: Rod, reactions: Reactions, *, moving: bool = False) -> Sample:
+def samples_of(
+    rod: Rod, reactions: Reactions, *, moving: bool = False, model: RodModel | None = None
+) -> Sample:
     """Rows (k, …) of reactions; with the clamp's velocity if setup errors are stated, or if
-    `moving`.
+    `moving`. A model of the rod other than the usual one says how it rests.
     """
     trail = reactions.trail
     parts = (reactions.force, reactions.moment, trail.position, trail.orientation)
-    rows = Sample(*(part.reshape(-1, part.shape[-1]) for part in parts))
+    force, moment, position, turn = (part.reshape(-1, part.shape[-1]) for part in parts)
+    rows = Sample(force, moment, position, turn)
+    if rod.loads is not None:
+        clamps = clamps_at(position / rod.length, turn)
+        rows = rows._replace(resting=at_rest(model or model_of(rod), clamps))
     if reactions.covariance is None:
         return rows
     covariance = np.broadcast_to(reactions.covariance / squares(rod), (*trail.shape, 6, 6))

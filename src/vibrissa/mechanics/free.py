@@ -36,10 +36,15 @@ def free_rods(
     rod: RodModel, position: Float[np.ndarray, "n 3"], orientation: Float[np.ndarray, "n 4"]
 ) -> FreeRod:
     """The free rod for clamps at these positions [L] with these orientations."""
-    axes = rotation_matrices(orientation)
-    clamps = Clamp(position, axes[..., 2], axes[..., 0])
+    clamps = clamps_at(position, orientation)
     found: FreeRod = _free_rods(rod, clamps, at_rest(rod, clamps))
     return found
+
+
+def clamps_at(position: Float[np.ndarray, "n 3"], orientation: Float[np.ndarray, "n 4"]) -> Clamp:
+    """Clamps at these positions [L] with these orientations."""
+    axes = rotation_matrices(orientation)
+    return Clamp(position, axes[..., 2], axes[..., 0])
 
 
 def at_rest(rod: RodModel, clamps: Clamp) -> Resting:
@@ -55,7 +60,7 @@ def at_rest(rod: RodModel, clamps: Clamp) -> Resting:
     return Resting(*(part[own.ravel()] for part in found))
 
 
-@lanes(alone=FEW)
+@lanes(alone=FEW, by_call=True)
 def _at_rest(rod: RodModel, clamp: Clamp) -> Resting:
     free = rod.free(clamp)
     return Resting(-free.reactions, jnp.asarray(free.sound))

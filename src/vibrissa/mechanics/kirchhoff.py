@@ -84,9 +84,9 @@ that the force rolls up has up to five.
 """
 _FULL_TURN = 2 * math.pi
 """By which bending turns a rod that meets itself."""
-_LOAD_STEPS, _LOAD_SETTLED, _LOAD_FOUND = 25, 1e-13, 1e-8
-"""Most Newton steps to the loads' resultants, the size [EI/L²] of one that ends them, and up to
-which they count as found.
+_LOAD_STEPS, _LOAD_NEAR, _LOAD_SETTLED, _LOAD_FOUND = 25, 1e-3, 1e-13, 1e-8
+"""Most Newton steps to the loads' resultants, and sizes [EI/L²] of a step: from which on slopes are
+kept, that ends them, and up to which resultants count as found.
 """
 _HARDLY_BENT = 0.5
 """Largest elastic curvature [1/L] of a rod on which the moments at tip and clamp are alike."""
@@ -449,21 +449,31 @@ class Kirchhoff(RodModel):
 
     def _rest(self, inner: Inner, s: Scalar, here: State) -> Line:
         """The rod behind a contact, given there, under loads: nodes before the contact all lie at
-        it.
+        it, without rates.
         """
         nodes, stop = inner.line.nodes, jnp.clip(jnp.maximum(inner.line.nodes, s), 0.0, 1.0)
+        origin, count = inner.clamp.point, len(nodes) - 1
 
-        def advance(at: State, section: Any) -> tuple[State, Any]:
-            (node, start), (following, end), local = section
-            width = following - node
-            part = (start - node) / width, (end - start) / width
-            stages = at_stages(local, *part, self._scheme.nodes)
-            after, *begin = self._step(inner.clamp.point, _NO_PUSH, at, start, end - start, stages)
-            return after, (at, *begin)
+        def advance(index: Array, state: tuple[State, Any]) -> tuple[State, Any]:
+            at, rows = state
+            width = nodes[index + 1] - nodes[index]
+            start, end = stop[index], stop[index + 1]
+            part = (start - nodes[index]) / width, (end - start) / width
+            own = jax.tree.map(lambda steps: steps[index], self.local)
+            stages = at_stages(own, *part, self._scheme.nodes)
+            after, *begin = self._step(origin, _NO_PUSH, at, start, end - start, stages)
+            return after, jax.tree.map(
+                lambda whole, row: lax.dynamic_update_index_in_dim(whole, row, index, 0),
+                rows,
+                (at, *begin),
+            )
 
-        both = jnp.stack([nodes, stop], 1)
-        last, rows = lax.scan(advance, here, (both[:-1], both[1:], self.local))
-        return self._line(inner.clamp.point, _NO_PUSH, stop, last, rows)
+        blank = here, jax.tree.map(jnp.zeros_like, here), jnp.zeros(())
+        rows = jax.tree.map(lambda part: jnp.broadcast_to(part, (count, *part.shape)), blank)
+        # Steps before the contact have no length.
+        place, *_ = inner.line.between(s)
+        last, rows = lax.fori_loop(place, count, advance, (here, rows))
+        return self._line(origin, _NO_PUSH, stop, last, rows)
 
     def beyond(self, inner: Inner, s: Scalar) -> Line:
         """The rest of the rod, from the contact at s on: without loads it has its own shape."""
@@ -476,33 +486,38 @@ class Kirchhoff(RodModel):
         return shape.carried(whole._at(Inner(shape, AT_ORIGIN, _NO_PUSH), s), here)
 
     @staticmethod
-    def _resultants(left: Callable[[Any, Any], Any], begin: Any, given: Any) -> Any:
-        """Resultants of loads that leave nothing at the tip, by Newton's method: the first entries
-        of `left(resultants, given)`, as many as there are resultants; with derivatives with respect
-        to what is given. Also whether they were found, and the derivatives of all that is left with
-        respect to them.
+    def _balanced(left: Callable[[Array], Array], begin: Array) -> tuple[Array, Bool[Array, ""]]:
+        """Unknowns that leave nothing, by Newton's method from given ones, and whether they were
+        found; with derivatives with respect to whatever `left` closes over.
         """
-        fixed = lax.stop_gradient(given)
-        slopes = jax.jacfwd(lambda load: (left(load, fixed),) * 2, has_aux=True)
 
-        def unfinished(state: tuple[Any, Any, Scalar, Array]) -> Array:
-            return (state[2] > _LOAD_SETTLED) & (state[3] < _LOAD_STEPS)
+        def solve(left: Callable[[Array], Array], begin: Array) -> tuple[Array, Scalar]:
+            slopes = jax.jacfwd(lambda x: (left(x),) * 2, has_aux=True)
 
-        def refine(state: tuple[Any, Any, Scalar, Array]) -> tuple[Any, Any, Scalar, Array]:
-            jacobian, value = slopes(state[0])
-            change, _ = solve_pivoted(jacobian[:count], value[:count])
-            size = jnp.max(jnp.abs(change))
-            share = jnp.minimum(1.0, _LARGEST_CHANGE / jnp.maximum(size, _TINY))
-            return state[0] - share * change, jacobian, size, state[3] + 1
+            def unfinished(state: tuple[Array, Array, Scalar, Array]) -> Array:
+                return (state[2] > _LOAD_SETTLED) & (state[3] < _LOAD_STEPS)
 
-        count = len(begin)
-        size = jax.eval_shape(left, begin, fixed).size
-        blank = jnp.zeros((size, count)), jnp.asarray(jnp.inf), jnp.zeros((), dtype=int)
-        start = lax.stop_gradient(begin), *blank
-        load, jacobian, size, _ = lax.stop_gradient(lax.while_loop(unfinished, refine, start))
-        # One more step, which carries the derivatives (implicit function theorem).
-        load = load - solve_pivoted(jacobian[:count], left(load, given)[:count])[0]
-        return load, size < _LOAD_FOUND, jacobian
+            def refine(
+                state: tuple[Array, Array, Scalar, Array],
+            ) -> tuple[Array, Array, Scalar, Array]:
+                x, jacobian, size, count = state
+                jacobian, value = lax.cond(
+                    size > _LOAD_NEAR, slopes, lambda x: (jacobian, left(x)), x
+                )
+                change, _ = solve_pivoted(jacobian, value)
+                size = jnp.max(jnp.abs(change))
+                share = jnp.minimum(1.0, _LARGEST_CHANGE / jnp.maximum(size, _TINY))
+                return x - share * change, jacobian, size, count + 1
+
+            blank = jnp.zeros((len(begin),) * 2), jnp.asarray(jnp.inf), jnp.zeros((), dtype=int)
+            found, _, size, _ = lax.while_loop(unfinished, refine, (begin, *blank))
+            return found, size
+
+        def tangent(linear: Callable[[Array], Array], right: Array) -> Array:
+            return solve_pivoted(jax.jacfwd(linear)(jnp.zeros_like(right)), right)[0]
+
+        found, size = lax.custom_root(left, begin, solve, tangent, has_aux=True)
+        return found, size < _LOAD_FOUND
 
     @property
     def own_shape(self) -> Line:
@@ -519,15 +534,17 @@ class Kirchhoff(RodModel):
         return Hanging(clamp, self.line(clamp, _NO_PUSH, load), load, resting.sound)
 
     def _hanging(self, clamp: Clamp) -> Hanging:
-        def left(load: Wrench, given: tuple[Kirchhoff, Clamp]) -> Float[Array, "9"]:
-            model, clamp = given
-            states = model.line(clamp, _NO_PUSH, load).states
-            return joined(states.load[-1], states.tangent[-1])
+        def at_tip(load: Wrench, given: tuple[Kirchhoff, Clamp]) -> State:
+            states = given[0].line(given[1], _NO_PUSH, load).states
+            return jax.tree.map(lambda rows: rows[-1], states)
 
-        load, found, slopes = self._resultants(left, jnp.zeros(6), (self, clamp))
+        given = self, clamp
+        load, found = self._balanced(lambda load: at_tip(load, given).load, jnp.zeros(6))
         line = self.line(clamp, _NO_PUSH, load)
+        slopes = jax.jacfwd(at_tip)(*lax.stop_gradient((load, given)))
         strain = jnp.max(self._strain(line, _NO_PUSH))
-        return Hanging(clamp, line, load, found & _stands(slopes, line.tangent[-1], strain))
+        stands = _stands(slopes.load, slopes.tangent, line.tangent[-1], strain)
+        return Hanging(clamp, line, load, found & stands)
 
     def bent(
         self,
@@ -642,18 +659,25 @@ class Kirchhoff(RodModel):
 
     @_traced_once
     def contact(
-        self, force: Vector, moment: Vector, clamp: Clamp, which: Int[Any, ""] | int = 0
+        self,
+        force: Vector,
+        moment: Vector,
+        clamp: Clamp,
+        which: Int[Any, ""] | int = 0,
+        free: Free | None = None,
     ) -> Contact:
         """As in `RodModel`: a place along the rod where the moment in it is least, once that of the
         loads behind it is taken off.
         """
-        crossing, _ = self._crossings(clamp, Push(-force, -moment))
+        crossing, _ = self._crossings(clamp, Push(-force, -moment), free)
         return crossing(which)
 
     @_traced_once
-    def contacts(self, force: Vector, moment: Vector, clamp: Clamp) -> Contact:
+    def contacts(
+        self, force: Vector, moment: Vector, clamp: Clamp, free: Free | None = None
+    ) -> Contact:
         """As in `RodModel`."""
-        crossing, count = self._crossings(clamp, Push(-force, -moment))
+        crossing, count = self._crossings(clamp, Push(-force, -moment), free)
         none: Contact = jax.tree.map(
             lambda part: jnp.full((self.candidates, *part.shape), jnp.nan),
             jax.eval_shape(crossing, 0),
@@ -670,13 +694,13 @@ class Kirchhoff(RodModel):
         return found
 
     def _crossings(
-        self, clamp: Clamp, push: Push
+        self, clamp: Clamp, push: Push, free: Free | None
     ) -> tuple[Callable[[Any], Contact], Int[Array, ""]]:
         """The contact at a crossing of the rod and the force's line of action, in order, and up to
         how many there are.
         """
         if self.load is not None:
-            return self._loaded_crossings(clamp, push)
+            return self._loaded_crossings(clamp, push, free)
         line, f = self.line(clamp, push), jnp.sqrt(dot(push.force, push.force))
 
         def falling(s: Scalar) -> Scalar:
@@ -708,36 +732,38 @@ class Kirchhoff(RodModel):
         return Contact(at, d, s, incidence, here.energy, gap, error=error)
 
     def _loaded_crossings(
-        self, clamp: Clamp, push: Push
+        self, clamp: Clamp, push: Push, free: Free | None
     ) -> tuple[Callable[[Any], Contact], Int[Array, ""]]:
         """Where the moment is that of the loads behind the contact; place and those loads'
         resultants by Newton's method, beginning with the resultants of the free rod.
         """
         line = self.line(clamp, push, jnp.zeros(6))
-        inner, free = Inner(line, clamp, push), self._hanging(clamp).line.states.load
-        force = push.force + line.states.load[:, :3] - free[:, :3]
+        inner, hanging = Inner(line, clamp, push), free or self._hanging(clamp)
+        assert isinstance(hanging, Hanging)
+        own = lax.stop_gradient(hanging.line.states.load)
+        force = push.force + line.states.load[:, :3] - own[:, :3]
         inside = push.moment - jnp.cross(line.reach, push.force)
-        inside = inside + line.states.load[:, 3:] - free[:, 3:]
+        inside = inside + line.states.load[:, 3:] - own[:, 3:]
         slopes = -jnp.sum(jnp.cross(line.tangent, force) * inside, 1)
 
-        def parts(unknowns: Float[Array, "7"], inner: Inner) -> tuple[State, Vector, Vector, Line]:
-            push, s, tail = inner.push, unknowns[0], unknowns[1:]
+        def parts(unknowns: Float[Array, "7"]) -> tuple[State, Vector, Vector, Line]:
+            s, tail = unknowns[0], unknowns[1:]
             here = self._at(inner, s)
             force = push.force + here.load[:3] - tail[:3]
             moment = push.moment - jnp.cross(here.reach, push.force) + here.load[3:] - tail[3:]
             return here, force, moment, self._rest(inner, s, here._replace(load=tail))
 
-        def left(unknowns: Float[Array, "7"], inner: Inner) -> Float[Array, "7"]:
-            here, force, moment, rest = parts(unknowns, inner)
+        def left(unknowns: Float[Array, "7"]) -> Float[Array, "7"]:
+            here, force, moment, rest = parts(unknowns)
             lever = -dot(jnp.cross(here.tangent, force), moment) / dot(force, force)
             return joined(lever, rest.states.load[-1])
 
         def crossing(which: Any) -> Contact:
             begin = zero(None, line, slopes, which)
             place, _, x = line.between(begin)
-            tail = free[place] + x * (free[place + 1] - free[place])
-            unknowns, *_ = self._resultants(left, joined(begin, tail), inner)
-            here, force, moment, rest = parts(unknowns, inner)
+            tail = own[place] + x * (own[place + 1] - own[place])
+            unknowns, _ = self._balanced(left, lax.stop_gradient(joined(begin, tail)))
+            here, force, moment, rest = parts(unknowns)
             f, reach = jnp.sqrt(dot(force, force)), here.reach
             total = joined(-push.force, -push.moment)
             load = total + joined(force, jnp.cross(reach, force) + moment)
@@ -759,7 +785,9 @@ def _moment(push: Push, at: State) -> Vector:
     return m if at.load is None else m + at.load[3:]
 
 
-def _stands(slopes: Float[Array, "9 6"], tangent: Vector, strain: Scalar) -> Bool[Array, ""]:
+def _stands(
+    by_load: Float[Array, "6 6"], turn: Float[Array, "3 6"], tangent: Vector, strain: Scalar
+) -> Bool[Array, ""]:
     """Whether a rod without contact is stable: whether small moments across its tip turn it their
     own way. Given are the derivatives of force and moment at the tip, and of its tangent, with
     respect to force and moment at the clamp.
@@ -770,12 +798,12 @@ def _stands(slopes: Float[Array, "9 6"], tangent: Vector, strain: Scalar) -> Boo
     none = jnp.zeros(3)
     across = across_of(tangent)
     moments = across, jnp.cross(tangent, across)
-    at_clamp = [solve_pivoted(slopes[:6], joined(none, moment))[0] for moment in moments]
+    at_clamp = [solve_pivoted(by_load, joined(none, moment))[0] for moment in moments]
 
     def positive(answers: list[Vector]) -> Bool[Array, ""]:
         (a, b), (c, d) = ([dot(moment, answer) for answer in answers] for moment in moments)
         return (a > 0) & (a * d > ((b + c) / 2) ** 2)
 
-    turns = [jnp.cross(tangent, slopes[6:] @ answer) for answer in at_clamp]
+    turns = [jnp.cross(tangent, turn @ answer) for answer in at_clamp]
     hardly = strain < _HARDLY_BENT
     return positive(turns) & (positive([answer[3:] for answer in at_clamp]) | ~hardly)

@@ -1,16 +1,19 @@
 """Contact with the skin of a rod that gets thinner: distances between lines and a ball."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 import vibrissa as vb
+from vibrissa.io.sweeps import read_sweep
 
 CENTER, RADIUS = np.array([0.3, 0.0, 1.05]), 0.25
 ROD = vb.Rod.tapered(length=1.0, base_radius=0.04, tip_radius=0.01, youngs_modulus=5e5)
 
 
 @pytest.mark.parametrize("rod", [ROD, ROD.curved(vb.RestShape.arc(radius=3.0, roll=0.4))])
-def test_the_skin_touches_once_and_nowhere_else_enters(rod: vb.Rod) -> None:
+def test_the_skin_touches_once_and_nowhere_else_enters(rod: vb.Rod, tmp_path: Path) -> None:
     """At the contact the centre line is one local radius away from the ball, nowhere nearer; the
     point lies on the ball, and the skin is tangent to it unless the tip touches.
     """
@@ -32,3 +35,8 @@ def test_the_skin_touches_once_and_nowhere_else_enters(rod: vb.Rod) -> None:
     found = vb.reconstruct(rod, scan.reactions, friction=0.1)
     error = np.linalg.norm(found.point - scan.centre, axis=1)[scan.in_contact]
     assert error.max() < 1e-9
+    # A file draws the same rods.
+    vb.io.write_dataset(tmp_path / "scan.nc", scan.to_dataset())
+    lines = scan.elastic_lines(scan.in_contact, 20)
+    stored = read_sweep(tmp_path / "scan.nc").elastic_lines(scan.in_contact, 20)
+    np.testing.assert_allclose(stored, lines, rtol=0, atol=1e-9)

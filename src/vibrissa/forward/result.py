@@ -12,7 +12,7 @@ from vibrissa.contacts import ContactKind, Contacts, Status
 from vibrissa.forward.events import Event, EventKind
 from vibrissa.forward.slip import Slip, led, slip_along
 from vibrissa.forward.validity import QuasiStatic, quasi_static
-from vibrissa.mechanics.shape import Held, elastic_lines
+from vibrissa.mechanics.shape import Held, centre_of, elastic_lines
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.surfaces import Surface
@@ -71,7 +71,7 @@ class Scan:
         Coefficient of friction, as given.
     offset
         The rod's radius at the clamp if its skin touches, or 0 if its centre line does; `point` is
-        on the object either way.
+        on the object either way, and `centre` on the centre line.
     second_contact
         (…, 3) where the rod also touches the object or passes through it, on rows whose status says
         so; NaN on the others.
@@ -151,8 +151,7 @@ class Scan:
         """Points (…, 3) of the rod's centre line at the contact."""
         if self.offset == 0:
             return self.point
-        radius = np.asarray(self.rod.radius_at(self.arc_length / self.rod.length))
-        return self.point + radius[..., None] * self.normal
+        return centre_of(self.rod, self.point, self.normal, self.arc_length)
 
     @cached_property
     def slip(self) -> Slip:

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 
 from vibrissa.contacts import ContactKind
 from vibrissa.files import InputError, readable, reading
-from vibrissa.mechanics.shape import Held, elastic_lines
+from vibrissa.mechanics.shape import Held, centre_of, elastic_lines
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod, rod_from_json
 from vibrissa.trail import Trail
@@ -54,7 +54,9 @@ class StoredSweep:
 
     def elastic_lines(self, rows: Any, count: int = 200) -> Float[np.ndarray, "k count 3"]:
         """The rod's shapes at some rows, as `vibrissa.Scan.elastic_lines`."""
-        point = self.point + self.offset * self.normal
+        point = self.point
+        if self.offset != 0:
+            point = centre_of(self.rod, point, self.normal, self.arc_length)
         contact = self.in_contact, point, self.force_direction, self.arc_length, self.incidence
         return elastic_lines(self.rod, Held(self.reactions, *contact), rows, count)
 

@@ -69,6 +69,17 @@ class _Given(NamedTuple):
     arc_length: Float[Any, ""]
 
 
+def centre_of(
+    rod: Rod,
+    point: Float[np.ndarray, "*n 3"],
+    normal: Float[np.ndarray, "*n 3"],
+    arc_length: Float[np.ndarray, "*n"],
+) -> Float[np.ndarray, "*n 3"]:
+    """Centre line (…, 3) of rods whose skin touches an object at points with outward normals."""
+    radius = np.asarray(rod.radius_at(arc_length / rod.length))
+    return np.asarray(point + radius[..., None] * normal)
+
+
 def free_lines(
     rod: Rod, trail: Trail, count: int, rows: Any = slice(None)
 ) -> Float[np.ndarray, "n count 3"]:

@@ -169,7 +169,7 @@ def test_tables_describe_rods_and_results_keep_them(tmp_path: Path, what: str) -
         (
             CYLINDER.replace("cylinder", "tapered").replace("radius", "base_radius")
             + "tip_radius = 0",
-            "rod: at 1 of its length the rod is 0 times as thick as at its clamp",
+            "rod: at its tip the rod is 0 times as thick as at its clamp",
         ),
         ('kind = "tapered"\nlength = 0.05', "rod.base_radius: missing"),
         (

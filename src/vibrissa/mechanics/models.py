@@ -122,8 +122,9 @@ def check_thick(rod: Rod) -> None:
     thickness = np.asarray(rod.bending_at(knots)) ** 0.25
     for x, share in zip(knots, thickness, strict=True):
         if share < _THINNEST * (1 - _ROUNDING):
+            where = "its tip" if x == 1 else f"{x:g} of its length"
             raise ValueError(
-                f"rod: at {x:g} of its length the rod is {share:g} times as thick as at its clamp, "
+                f"rod: at {where} the rod is {share:g} times as thick as at its clamp, "
                 f"and bears no contact; allowed is at least {_THINNEST:g}"
             )
 

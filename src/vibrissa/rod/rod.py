@@ -176,7 +176,7 @@ class Rod(Described):
     def _check_loads(self, loads: Loads) -> None:
         if loads.gravity is not None:
             if self.linear_density is None:
-                raise ValueError("linear_density = None: gravity needs the rod's density")
+                raise ValueError("linear_density = None: gravity needs it, or the rod's density")
             self.linear_density_at(0.0)
         if loads.wind is not None:
             if self.units != "SI":

@@ -99,7 +99,7 @@ class Lanes(Generic[Shared, Row]):
         self._shapes: dict[object, Any] = {}
         self._of_structure: dict[object, Callable[..., Any]] = {}
         self._found: dict[object, Any] = {}
-        """No rows of what a call of a row finds."""
+        """Empty results (0, …), of the shapes and types that a call of one row has."""
         self._of_width: dict[int, Callable[..., Any]] = {}
         self._compiling = threading.Lock()
 

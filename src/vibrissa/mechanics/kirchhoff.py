@@ -94,6 +94,8 @@ _LARGEST_CHANGE = 2.0
 """Of the resultants in one such step [EI/L²]: a rod as soft as a rope still finds its shape."""
 _ROUNDING = 1e-9
 """By which a contact at the tip may seem to lie before it [L]."""
+_AT_TIP = 1e-14
+"""Distance from the tip that rounding leaves to contacts that are taken to it [L]."""
 _TINY = 1e-300
 
 _traced_once = partial(jax.jit, inline=True)
@@ -486,9 +488,14 @@ class Kirchhoff(RodModel):
         return shape.carried(whole._at(Inner(shape, AT_ORIGIN, _NO_PUSH), s), here)
 
     @staticmethod
-    def _balanced(left: Callable[[Array], Array], begin: Array) -> tuple[Array, Bool[Array, ""]]:
+    def _balanced(
+        left: Callable[[Array], Array],
+        begin: Array,
+        seen_at: Callable[[Array], Array] = lambda unknowns: unknowns,
+    ) -> tuple[Array, Bool[Array, ""]]:
         """Unknowns that leave nothing, by Newton's method from given ones, and whether they were
-        found; with derivatives with respect to whatever `left` closes over.
+        found; with derivatives with respect to whatever `left` closes over, taken at `seen_at` of
+        them, which differs from them by rounding.
         """
 
         def solve(left: Callable[[Array], Array], begin: Array) -> tuple[Array, Scalar]:
@@ -511,7 +518,7 @@ class Kirchhoff(RodModel):
 
             blank = jnp.zeros((len(begin),) * 2), jnp.asarray(jnp.inf), jnp.zeros((), dtype=int)
             found, _, size, _ = lax.while_loop(unfinished, refine, (begin, *blank))
-            return found, size
+            return seen_at(found), size
 
         def tangent(linear: Callable[[Array], Array], right: Array) -> Array:
             return solve_pivoted(jax.jacfwd(linear)(jnp.zeros_like(right)), right)[0]
@@ -762,7 +769,8 @@ class Kirchhoff(RodModel):
             begin = zero(None, line, slopes, which)
             place, _, x = line.between(begin)
             tail = own[place] + x * (own[place + 1] - own[place])
-            unknowns, _ = self._balanced(left, lax.stop_gradient(joined(begin, tail)))
+            begin = lax.stop_gradient(joined(begin, tail))
+            unknowns, _ = self._balanced(left, begin, _before_tip)
             here, force, moment, rest = parts(unknowns)
             f, reach = jnp.sqrt(dot(force, force)), here.reach
             total = joined(-push.force, -push.moment)
@@ -783,6 +791,15 @@ def _moment(push: Push, at: State) -> Vector:
     """Moment in the rod."""
     m: Vector = push.moment - jnp.cross(at.reach, push.force)
     return m if at.load is None else m + at.load[3:]
+
+
+def _before_tip(unknowns: Float[Array, "7"]) -> Float[Array, "7"]:
+    """An arc length that is that of the tip, taken just before it: where the rod is, and where
+    derivatives do not mix both sides.
+    """
+    s = unknowns[0]
+    at_tip = jnp.abs(s - 1.0) < _AT_TIP
+    return joined(jnp.where(at_tip, 1.0 - _AT_TIP, s), unknowns[1:])
 
 
 def _stands(

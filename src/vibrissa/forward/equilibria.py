@@ -16,7 +16,7 @@ from vibrissa.brief import brief
 from vibrissa.contact import FRICTIONLESS, Scene, State, Touching, touching
 from vibrissa.contacts import ContactKind
 from vibrissa.forward.assess import DEPTH_TOLERANCE
-from vibrissa.forward.path import chosen, clamp_of
+from vibrissa.forward.path import chosen
 from vibrissa.forward.scan import touched_surface
 from vibrissa.forward.search import eased, seeds_around, solutions
 from vibrissa.forward.second_variation import NODES, Shape, least_second_variation
@@ -25,7 +25,7 @@ from vibrissa.geometry.rotation import Orientation, unit_quaternions
 from vibrissa.mechanics.elastic_line import directors, elastic_line
 from vibrissa.mechanics.elastica import Elastica
 from vibrissa.mechanics.kirchhoff import Kirchhoff
-from vibrissa.mechanics.model import Clamp, RodModel
+from vibrissa.mechanics.model import Clamp, RodModel, clamp_of
 from vibrissa.mechanics.models import spatial
 from vibrissa.numerics.lanes import lanes
 from vibrissa.reactions import Reactions

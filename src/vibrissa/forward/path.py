@@ -12,8 +12,8 @@ import numpy as np
 from jax import Array
 from jaxtyping import Bool, Float, Int
 
-from vibrissa.geometry.rotation import lengths, rotation_matrices
-from vibrissa.mechanics.model import Clamp
+from vibrissa.geometry.rotation import lengths
+from vibrissa.mechanics.model import Clamp, clamp_of
 from vibrissa.numerics.lanes import AnyArray
 from vibrissa.numerics.rotation import first_axis as traced_first_axis
 from vibrissa.numerics.rotation import third_axis as traced_third_axis
@@ -92,12 +92,6 @@ class Path:
         """The stretch that ends at position `index`; 0 gives one of zero length."""
         ends = (np.maximum(np.asarray(index) - 1, 0), index)
         return Stretch(*(Pose(self.point[lane, at], self.orientation[lane, at]) for at in ends))
-
-
-def clamp_of(point: Float[np.ndarray, "*n 3"], orientation: Float[np.ndarray, "*n 4"]) -> Clamp:
-    """Clamps of poses."""
-    turn = rotation_matrices(orientation)
-    return Clamp(point, turn[..., 2], turn[..., 0])
 
 
 def path_of(trail: Trail, length: float) -> Path:

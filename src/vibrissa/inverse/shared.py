@@ -12,8 +12,8 @@ from vibrissa.inverse.arrays import Spread, Vectors, Wrenches
 from vibrissa.inverse.kernels import Errors, Sample, Setting, sensitivities_of
 from vibrissa.inverse.parameters import prepared, velocities_of
 from vibrissa.inverse.result import Reconstruction
-from vibrissa.mechanics.free import at_rest, clamps_at
-from vibrissa.mechanics.model import RodModel
+from vibrissa.mechanics.free import at_rest
+from vibrissa.mechanics.model import RodModel, clamp_of
 from vibrissa.mechanics.models import model_of
 from vibrissa.reactions import Reactions, turned_covariance
 from vibrissa.rod import Rod
@@ -73,7 +73,7 @@ def samples_of(
     force, moment, position, turn = (part.reshape(-1, part.shape[-1]) for part in parts)
     rows = Sample(force, moment, position, turn)
     if rod.loads is not None:
-        clamps = clamps_at(position / rod.length, turn)
+        clamps = clamp_of(position / rod.length, turn)
         rows = rows._replace(resting=at_rest(model or model_of(rod), clamps))
     if reactions.covariance is None:
         return rows

@@ -8,8 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from vibrissa.geometry.rotation import rotation_matrices
-from vibrissa.mechanics.model import Clamp, Resting, RodModel
+from vibrissa.mechanics.model import Clamp, Resting, RodModel, clamp_of
 from vibrissa.mechanics.models import model_of
 from vibrissa.mechanics.shape import free_lines
 from vibrissa.numerics.lanes import FEW, lanes
@@ -36,15 +35,9 @@ def free_rods(
     rod: RodModel, position: Float[np.ndarray, "n 3"], orientation: Float[np.ndarray, "n 4"]
 ) -> FreeRod:
     """The free rod for clamps at these positions [L] with these orientations."""
-    clamps = clamps_at(position, orientation)
+    clamps = clamp_of(position, orientation)
     found: FreeRod = _free_rods(rod, clamps, at_rest(rod, clamps))
     return found
-
-
-def clamps_at(position: Float[np.ndarray, "n 3"], orientation: Float[np.ndarray, "n 4"]) -> Clamp:
-    """Clamps at these positions [L] with these orientations."""
-    axes = rotation_matrices(orientation)
-    return Clamp(position, axes[..., 2], axes[..., 0])
 
 
 def at_rest(rod: RodModel, clamps: Clamp) -> Resting:

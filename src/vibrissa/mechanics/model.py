@@ -14,6 +14,8 @@ import numpy as np
 from jax import Array
 from jaxtyping import Bool, Float, Int
 
+from vibrissa.geometry.rotation import rotation_matrices
+
 Scalar = Float[Any, ""]
 Vector = Float[Any, "3"]
 Wrench = Float[Any, "6"]
@@ -29,6 +31,12 @@ class Clamp(NamedTuple):
     """Unit tangent of the rod: the clamp's z axis."""
     across: Vector
     """The clamp's x axis, from which a rod's rest shape and support are oriented."""
+
+
+def clamp_of(point: Float[np.ndarray, "*n 3"], orientation: Float[np.ndarray, "*n 4"]) -> Clamp:
+    """Clamps (…, 3) at points [L] with orientations, unit quaternions x, y, z, w."""
+    axes = rotation_matrices(orientation)
+    return Clamp(point, axes[..., 2], axes[..., 0])
 
 
 AT_ORIGIN = Clamp(np.zeros(3), np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]))

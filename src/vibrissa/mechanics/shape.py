@@ -75,7 +75,9 @@ def centre_of(
     normal: Float[np.ndarray, "*n 3"],
     arc_length: Float[np.ndarray, "*n"],
 ) -> Float[np.ndarray, "*n 3"]:
-    """Centre line (…, 3) of rods whose skin touches an object at points with outward normals."""
+    """Centre line (…, 3) [m] of rods whose skin touches an object at points [m] with outward unit
+    normals: one radius away, that at the contact's arc length [m].
+    """
     radius = np.asarray(rod.radius_at(arc_length / rod.length))
     return np.asarray(point + radius[..., None] * normal)
 

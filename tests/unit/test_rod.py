@@ -55,6 +55,12 @@ def test_figures_are_positive_and_finite(name: str, value: float) -> None:
         vb.Rod(**figures)
 
 
+@pytest.mark.parametrize("value", [True, "0.05"])
+def test_truth_values_and_texts_are_no_numbers(value: object) -> None:
+    with pytest.raises(ValueError, match=rf"^length = {value!r}; allowed is a finite number"):
+        vb.Rod.cylinder(length=value, radius=1e-3, youngs_modulus=2e11)  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize("name", ["length", "radius", "youngs_modulus", "density", "yield_strain"])
 def test_figures_of_a_wire_are_positive(name: str) -> None:
     figures = {"length": 0.05, "radius": 1e-3, "youngs_modulus": 2e11, name: -1.0}

@@ -142,6 +142,7 @@ def test_tables_describe_rods_and_results_keep_them(tmp_path: Path, what: str) -
             CYLINDER + '[rod.rest]\nkind = "circle"',
             "rod.rest.kind = 'circle': allowed is arc, polynomial, parabola, points or components",
         ),
+        (CYLINDER + "rest = 3", "rod.rest = 3: allowed is a table of kind arc, polynomial, "),
         (CYLINDER + '[rod.rest]\nkind = "arc"', "rod.rest.radius: missing"),
         (
             CYLINDER + '[rod.rest]\nkind = "arc"\nradius = 1e-3',
@@ -162,6 +163,7 @@ def test_tables_describe_rods_and_results_keep_them(tmp_path: Path, what: str) -
             "rod.rest.points has shape (2, 3); allowed are at least 4 points",
         ),
         (CYLINDER + "temperature = 30", "rod.temperature = 30.0: thermal = None"),
+        ('kind = "unit"\ntemperature = 30', "rod.temperature: unknown key"),
         (
             CYLINDER + "temperature = 4000\n[rod.thermal]\nmodulus_slope = -3e-4",
             "rod.temperature = 4000.0: Young's modulus would be -0.194 of that at 20 °C",
@@ -183,6 +185,12 @@ def test_wrong_tables_are_named_in_a_line(tmp_path: Path, table: str, message: s
         rod(tmp_path, table)
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_list_with_a_wrong_entry_is_named_once(tmp_path: Path) -> None:
+    with pytest.raises(InputError) as caught:
+        rod(tmp_path, CYLINDER + "[rod.loads]\ngravity = [nan, 0, -9.81]")
+    assert str(caught.value).endswith("rod.loads.gravity[0] = nan: allowed is a finite number")
 
 
 def test_results_in_netcdf_hold_the_whole_rod(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """Argument validation: each error names the parameter, the value received and what is allowed."""
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -82,7 +83,7 @@ def _number(
     value: float, name: str, allowed: str, holds: Callable[[float], bool] = np.isfinite
 ) -> float:
     try:
-        number = float(value)
+        number = math.nan if isinstance(value, str | bool | np.bool_) else float(value)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{name} = {value!r}; allowed is a number") from error
     if not (np.isfinite(number) and holds(number)):

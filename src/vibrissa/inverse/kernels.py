@@ -179,10 +179,10 @@ class Likely(NamedTuple):
     wrench: Float[AnyArray, "*n 6"]
     reach: Points
     direction: Points
-    tip: Points
-    """Of the free rod, seen from the clamp [L]."""
-    off_straight: Row
-    """Distance from a force at the tip of the unbent rod, in standard deviations."""
+    at_tip: Float[AnyArray, "*n 6"]
+    """Most probable wrench of a force at the tip of a hardly bent rod."""
+    off_tip: Row
+    """Its distance, in standard deviations."""
     which: Int[AnyArray, "*n"]
     """Which of several contacts is meant, in order along the rod."""
     load: Any = None
@@ -289,16 +289,18 @@ def weak_contacts(setting: Setting, sample: Sample, likely: Likely) -> Errors:
         along = -force / jnp.sqrt(jnp.sum(force * force))
         return _within_reach(reach), jnp.where(met, found.direction, along)
 
-    reach, direction = jax.vmap(seen)(likely.wrench + steps)
+    reach, direction = jax.vmap(seen)(
+        jnp.concatenate([likely.wrench + steps, likely.at_tip + steps])
+    )
     reach = reach - likely.reach
     # Perpendicular to n̂: a unit vector can only turn.
     along = jnp.sum(direction * likely.direction, axis=1, keepdims=True)
     direction = direction - along * likely.direction
-    of_reach, of_direction = (_product(part.T, part) / len(steps) for part in (reach, direction))
-    # A contact that looks tangential may be one at the tip of a still unbent rod, as likely as
-    # noise makes one look like the other.
-    towards = likely.tip - likely.reach
-    of_reach += jnp.exp(-(likely.off_straight**2) / 2) * jnp.outer(towards, towards)
+    # A contact that looks tangential may be one at the tip, as likely as noise makes one look like
+    # the other.
+    odds = jnp.append(1.0, jnp.exp(-(likely.off_tip**2) / 2))
+    weights = (odds / (jnp.sum(odds) * len(steps))).repeat(len(steps))
+    of_reach, of_direction = (_product(part.T * weights, part) for part in (reach, direction))
     return Errors(of_reach * setting.length**2, of_direction)
 
 
@@ -480,7 +482,7 @@ def _probable(setting: Setting, sample: Sample) -> _Probable:
             wrench,
             contact.reach,
             contact.direction,
-            held.tip,
+            straight,
             off_straight,
             jnp.asarray(held.reader.which),
             held.reader.load,

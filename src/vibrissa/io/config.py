@@ -156,6 +156,9 @@ def one_line(error: ValidationError, model: type[Table]) -> str:
         error.errors(include_url=False), key=lambda finding: ranks.get(finding["type"], 2)
     )
     schema = model.model_json_schema()
+    # A list without its wrong entries is too short as well.
+    around = {error["loc"][:-1] for error in errors if isinstance(error["loc"][-1], int)}
+    errors = [error for error in errors if error["loc"] not in around]
     findings = list(dict.fromkeys(_finding(one, schema) for one in errors))
     more = len(findings) - _SHOWN
     return "; ".join(findings[:_SHOWN]) + (f" (and {more} more)" if more > 0 else "")
@@ -176,6 +179,8 @@ def _finding(error: ErrorDetails, schema: dict[str, Any]) -> str:
             return f"{hint}{place}.kind: missing; allowed is {allowed}"
         case "union_tag_invalid":
             return f"{place}.kind = {error['ctx']['tag']!r}: allowed is {allowed}"
+        case "model_attributes_type":
+            allowed = allowed if allowed.startswith("a ") else f"a table of kind {allowed}"
         case "value_error" if text := str(error["ctx"]["error"]):
             return f"{place}.{text}".removeprefix(".")
     return f"{place} = {shortened(error['input'])}: allowed is {allowed}"

@@ -144,7 +144,10 @@ _RODS: dict[str, Callable[..., Any]] = {
 def _table(kind: str, noun: Callable[..., Any]) -> Any:
     types = _ROD | (_COLUMNS if kind == "table" else {})
     own = table_of(noun, types, kind, DescribedTable)
-    return create_model(kind, __base__=own, **_DESCRIBED)
+    described = dict(_DESCRIBED)
+    if "thermal" not in own.model_fields:
+        described.pop("temperature")
+    return create_model(kind, __base__=own, **described)
 
 
 RodTable = one_of(_table(kind, noun) for kind, noun in _RODS.items())

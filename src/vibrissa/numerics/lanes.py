@@ -214,7 +214,7 @@ class Lanes(Generic[Shared, Row]):
 
         if structure not in self._of_structure:
             single.__name__ = self._one.__name__
-            self._of_structure[structure] = compiled(single)
+            self._of_structure[structure] = compiled(single, alone=True)
         return self._of_structure[structure]
 
     def _side_by_side(self, width: int) -> Callable[..., Any]:

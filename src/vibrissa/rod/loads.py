@@ -148,9 +148,13 @@ def _check(function: Callable[..., Any], name: str, *arguments: jax.Array) -> No
     try:
         shape = jax.eval_shape(lambda *given: jnp.asarray(function(*given)), *arguments)
     except Exception as error:
+        reason = str(error).partition("\n")[0]
         raise ValueError(
-            f"{name}: {function!r} cannot be traced by JAX ({error}); allowed is a function of "
+            f"{name}: {function!r} cannot be traced by JAX ({reason}); allowed is a function of "
             "jax.numpy operations"
         ) from error
     if shape.shape != (3,) or not jnp.issubdtype(shape.dtype, jnp.floating):
-        raise ValueError(f"{name}: {function!r} returns {shape}; allowed are three real numbers")
+        raise ValueError(
+            f"{name}: {function!r} returns {shape.dtype} of shape {shape.shape}; allowed are three "
+            "real numbers: shape (3,)"
+        )

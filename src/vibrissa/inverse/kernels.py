@@ -110,7 +110,7 @@ class Found(NamedTuple):
     setup: Errors | None = None
     """From what all samples share."""
     weak: Bool[AnyArray, "*n"] | None = None
-    """Whether the errors need second moments."""
+    """Whether it is far from linear in the noise, so that errors need second moments."""
     likely: "Likely | None" = None
 
 
@@ -258,7 +258,8 @@ def noisy_contacts(setting: Setting, sample: Sample) -> Found:
         setup=of_setup,
         arc_length_deviation=deviation * scale,
         chi_square=chi_square,
-        weak=jnp.sum(probable.likely.wrench[:3] ** 2) <= _FIRST_ORDER**2 * variance,
+        weak=(jnp.sum(probable.likely.wrench[:3] ** 2) <= _FIRST_ORDER**2 * variance)
+        | (noise.arc_length > setting.rod.linear**2),
         likely=probable.likely,
     )
 
@@ -269,8 +270,8 @@ def weak_contacts(setting: Setting, sample: Sample, likely: Likely) -> Errors:
     from points √6 deviations to either side along each axis of its ellipsoid.
 
     They match the noise's mean and covariance, and two more moments along each axis (S. J. Julier,
-    J. K. Uhlmann, Proc. IEEE 92 (2004) 401-422): if the force is only a few deviations, the contact
-    is far from linear in them.
+    J. K. Uhlmann, Proc. IEEE 92 (2004) 401-422): if the force is only a few deviations, or the rod
+    is thin at the contact, that is far from linear in them.
     """
     free, clamp = free_of(setting, sample), _clamp_of(setting, sample)
     reader = _Reader(setting.rod, clamp, likely.load, likely.which, free)

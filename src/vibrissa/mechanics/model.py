@@ -4,6 +4,7 @@ A model is dimensionless: lengths in L, forces in EI/L², moments in EI/L (paper
 nothing about the object.
 """
 
+import math
 from abc import abstractmethod
 from typing import Any, ClassVar, NamedTuple
 
@@ -161,6 +162,8 @@ class RodModel(eqx.Module):
     """Residual of the contact conditions up to which a state counts as solved."""
     last_step: ClassVar[float] = 1e-9
     """Residual from which one more Newton step, converging quadratically, leaves rounding."""
+    linear: ClassVar[float] = math.inf
+    """Standard deviation of an arc length [L] up to which a contact is linear in its wrench."""
 
     @property
     def unknowns(self) -> int:

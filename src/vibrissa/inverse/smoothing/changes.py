@@ -10,8 +10,8 @@ from jaxtyping import Int
 from scipy.special import logsumexp, softmax
 
 from vibrissa.inverse.smoothing import kalman
-from vibrissa.inverse.smoothing.kalman import RATE, SIZE, Gaussian
-from vibrissa.inverse.smoothing.manifold import LOADS
+from vibrissa.inverse.smoothing.kalman import RATE, SIZE, Gaussian, States
+from vibrissa.inverse.smoothing.manifold import ARC_LENGTH, LOADS
 from vibrissa.inverse.smoothing.model import (
     FREE,
     GO_ON,
@@ -27,6 +27,7 @@ from vibrissa.inverse.smoothing.model import (
     Samples,
     group_starts,
     merged,
+    smoothed_states,
     steps_of,
 )
 from vibrissa.inverse.smoothing.phases import raw_arc_lengths
@@ -49,6 +50,8 @@ have two places and its motion one more rate.
 """
 _CLEARLY = 3.0
 """Standard deviations that a mean must lie below the rod's length to try tangential contact."""
+_BEYOND = 3.0
+"""The same that a tangential contact must lie beyond the tip to be one at the tip."""
 _SIZES, _WIDER = (32, 64, 128, 256, 384), (1.0, 1.5, 2.25)
 """Samples over which that mean is taken, and widths of the phases tried, relative to them."""
 _BEFORE, _AFTER = 96, 128
@@ -152,6 +155,19 @@ def with_phases(fit: Fit) -> tuple[Fit, dict[int, Places]]:
     return fit, places
 
 
+def within_the_rod(labels: Labels, states: States) -> Labels:
+    """Labels with tip contact where tangential contact would lie clearly beyond the tip: a thin tip
+    hardly resists being bent until the force is perpendicular to a rod that went on.
+    """
+    beyond = states.mean[:, ARC_LENGTH] - 1
+    deviation = np.sqrt(np.maximum(states.covariance[:, ARC_LENGTH, ARC_LENGTH], TINY))
+    for first, stop in runs((labels.phase == TANGENTIAL) & (beyond > 0)):
+        rows = slice(first, stop)
+        if stop - first >= _LEAST_RUN and np.any(beyond[rows] > _BEYOND * deviation[rows]):
+            labels = labels.in_phase(TIP, rows)
+    return labels
+
+
 def _places_of(fit: Fit, change: int) -> Places:
     """Likelihood of a change's place as a density: over all places within reach, then on a finer
     grid where it is not negligible.
@@ -199,9 +215,17 @@ def _with_fewer_phases(fit: Fit) -> Fit:
                 continue
             other = fit.labels.in_phase(other_kind, slice(first, stop))
             values = log_likelihoods(fit, [fit.labels, other], first - _MARGIN, stop + _MARGIN)
-            if values[1] > values[0] - _LEAST_GAIN * bool(beside):
+            asked = values[1] > values[0] - _LEAST_GAIN * bool(beside)
+            if asked and (kind == TANGENTIAL or _possible(fit, other)):
                 fit = fit._replace(labels=other)
     return fit
+
+
+def _possible(fit: Fit, labels: Labels) -> bool:
+    """Whether tangential contact as labelled lies on the rod."""
+    other = fit._replace(labels=labels)
+    within = within_the_rod(labels, smoothed_states(other, steps_of(other)))
+    return np.array_equal(within.phase, labels.phase)
 
 
 def _with_tangential_phases(fit: Fit) -> Fit:
@@ -356,4 +380,7 @@ def _rivals_of(fit: Fit, rows: slice) -> tuple[list[Labels], Samples]:
     values = logsumexp(each - each[:, 1:2], axis=0)
     if not np.isfinite(values[0]):
         return alone
+    for number in np.flatnonzero(values > values.max() - _NEGLIGIBLE).tolist():
+        if number > 0 and not _possible(fit, candidates[number]):
+            values[number] = -np.inf
     return candidates, softmax(np.where(np.isfinite(values), values, -np.inf))

@@ -17,7 +17,13 @@ from vibrissa.inverse.parameters import prepared
 from vibrissa.inverse.result import Reconstruction
 from vibrissa.inverse.shared import with_shared
 from vibrissa.inverse.smoothing.branches import branch_of
-from vibrissa.inverse.smoothing.changes import drawn, reversed_fit, with_onset, with_phases
+from vibrissa.inverse.smoothing.changes import (
+    drawn,
+    reversed_fit,
+    with_onset,
+    with_phases,
+    within_the_rod,
+)
 from vibrissa.inverse.smoothing.estimate import by_itself, contacts_of
 from vibrissa.inverse.smoothing.fit import (
     MOST_STEPS,
@@ -48,7 +54,9 @@ from vibrissa.numerics.progress import Progress, Stages, Tally
 from vibrissa.numerics.runs import runs
 
 _ROUNDS = 4
-"""Of looking for jumps: each finds all that are not close to others."""
+"""Of looking for jumps, each of which finds all that are not close to others; and for contacts
+beyond the tip.
+"""
 _LONGEST, _OVERLAP = 16384, 2048
 """Samples: some hundred MB of states, and enough overlap for a cut in its middle not to show."""
 _STAGES = 6
@@ -224,11 +232,12 @@ def _smoothed_segment(
         guess = first_guess(rod, series, fit.states.zero, false_alarm, spread)
         fit = fit._replace(labels=guess.labels, linear=guess.linear)
     fit = fitted(fit._replace(labels=with_snaps(fit)))
+    fit = _within_the_rod(fit)
     stages.end_one()
     # So that tangential contact is not taken for a jump.
     phased, places = with_phases(fit)
     if not np.array_equal(phased.labels.phase, fit.labels.phase):
-        fit = fitted(phased)
+        fit = _within_the_rod(fitted(phased))
     stages.end_one()
     jumped = False
     for _ in range(_ROUNDS):
@@ -238,6 +247,7 @@ def _smoothed_segment(
         fit, jumped = fitted(fit._replace(labels=labels)), True
     if jumped:
         fit, places = with_phases(fit)
+        fit = _within_the_rod(fit)
     stages.end_one()
     # Time, deviation and limit of starts and of ends; deviations of phase changes [s].
     edges = np.full((len(time), 2, 3), np.nan)
@@ -263,6 +273,16 @@ def _smoothed_segment(
         "edges": edges,
         "change_deviation": change_deviation,
     }, fit
+
+
+def _within_the_rod(fit: Fit) -> Fit:
+    """Fitted again until no contact lies beyond the tip."""
+    for _ in range(_ROUNDS):
+        labels = within_the_rod(fit.labels, fit.states)
+        if np.array_equal(labels.phase, fit.labels.phase):
+            break
+        fit = fitted(fit._replace(labels=labels))
+    return fit
 
 
 def _touches(labels: Labels, edges: np.ndarray, deviation: Samples) -> tuple[Touch, ...]:

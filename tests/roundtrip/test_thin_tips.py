@@ -55,3 +55,45 @@ def test_ellipsoids_hold_the_contact_at_any_strength(name: str) -> None:
     # Three standard errors of 200 draws below 95 %, or nearly all where errors are overstated.
     assert held.min() > 0.9, held
     assert 0.94 < held.mean() < 0.99, held
+
+
+SWEPT = {"half": (0.5, 2e-3, 0.065), "a tenth": (0.1, 5e-4, 0.075), "uniform": (1.0, 1e-4, 0.065)}
+"""Tip's share of the radius, noise [EI/L², EI/L], and height of the ball's centre [m]."""
+
+
+@pytest.mark.parametrize("name", SWEPT)
+def test_smoothed_contacts_change_phase_where_they_do_and_stay_on_the_rod(name: str) -> None:
+    """A thin tip hardly resists being bent: contacts far beyond it explain the readings as well.
+    And under little noise s₁ is seen to turn, which is no tip contact.
+    """
+    share, noise, height = SWEPT[name]
+    rod, rest, count = tapered(share), 200, 500
+    trail = vb.Trail.line(start=(0.045, 0.008, 0), stop=(-0.045, 0.008, 0), count=count)
+    ball = vb.surfaces.Sphere(center=(0, 0, height), radius=0.03)
+    scan = vb.scan(rod, ball, trail)
+    sensor = vb.Sensor(
+        (0, 0, 0.02),
+        (0, 0, 0, 1),
+        "on_sensor",
+        force_noise=noise * rod.force_scale,
+        torque_noise=noise / 2 * rod.moment_scale,
+        tare_seconds=0.9,
+        rod=rod,
+    )
+    which = np.append(np.zeros(rest, dtype=int), np.arange(count))
+    force, moment = np.hsplit(scan.reactions.wrench[which], 2)
+    swept = vb.Reactions(trail[which], force, moment, time=np.arange(rest + count) / 200)
+    raw = sensor.measure(swept, np.random.default_rng(0), force_tare=(0.3, -0.1, 0.8))
+    found = vb.smooth(vb.reconstruct(rod, sensor.reactions(raw), friction=0))
+    assert found.smoothing is not None
+    (touch,) = found.smoothing[0].touches
+    true = np.flatnonzero(np.diff(scan.kind[which])) + 1
+    np.testing.assert_allclose(touch.changes, true[1:-1], atol=3)
+    sound = scan.in_contact[which] & found.in_contact & (found.status == vb.Status.OK)
+    assert sound.sum() > 0.97 * scan.in_contact.sum()
+    assert found.arc_length[sound].max() <= 1.002 * LENGTH
+    off = (found.point - scan.point[which])[sound]
+    assert np.linalg.norm(off, axis=1).max() < 0.005 * LENGTH
+    assert found.covariance is not None
+    solved = np.linalg.solve(found.covariance[sound], off[..., None])[..., 0]
+    assert np.mean(np.einsum("ni,ni->n", off, solved) < LIMIT) > 0.9

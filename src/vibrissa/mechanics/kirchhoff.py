@@ -224,8 +224,8 @@ class Kirchhoff(RodModel):
     one more step leaves less than the error of the discretisation.
     """
     linear: ClassVar[float] = 0.005
-    """As in `RodModel`: at 0.01 the 95 % ellipsoids of contacts near a tip of a tenth of the clamp's
-    radius hold 91 %, at 0.02 only 78 % (`tests/roundtrip/test_thin_tips.py`).
+    """As in `RodModel`: at 0.01 the 95 % ellipsoids of contacts near a tip with a tenth of the
+    clamp's radius hold 91 %, at 0.02 only 78 % (`tests/roundtrip/test_thin_tips.py`).
     """
     lane_width: ClassVar[int] = 32
     """Rods side by side: the stages of more would leave the core's nearest cache."""

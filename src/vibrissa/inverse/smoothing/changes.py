@@ -10,7 +10,8 @@ from jaxtyping import Int
 from scipy.special import logsumexp, softmax
 
 from vibrissa.inverse.smoothing import kalman
-from vibrissa.inverse.smoothing.kalman import RATE, SIZE, Gaussian, States
+from vibrissa.inverse.smoothing.kalman import RATE, Gaussian, States
+from vibrissa.inverse.smoothing.likelihood import log_likelihoods
 from vibrissa.inverse.smoothing.manifold import ARC_LENGTH, LOADS
 from vibrissa.inverse.smoothing.model import (
     FREE,
@@ -23,7 +24,6 @@ from vibrissa.inverse.smoothing.model import (
     Codes,
     Fit,
     Labels,
-    NoMotionError,
     Samples,
     group_starts,
     merged,
@@ -35,8 +35,6 @@ from vibrissa.numerics.runs import runs
 
 _MARGIN = 96
 """Samples about a place, within which rival places can be told apart."""
-_MOST_ROWS = 1536
-"""Most samples compared, in groups of four: some seconds."""
 _SWEEPS, _REACHES = 2, 3
 _REACH, _SPACING, _FINE = 160, 8, 32
 """Samples within which a change is first sought, their spacing, and the most places tried next."""
@@ -80,38 +78,6 @@ _LEAST_ROWS = 24
 """Fewest samples of a contact that leave four for a tangential phase in one of its sixths."""
 
 
-def log_likelihoods(
-    fit: Fit,
-    candidates: list[Labels],
-    first: int,
-    stop: int,
-    together: int = TOGETHER,
-    bends: tuple[float, ...] = (1.0,),
-) -> Samples:
-    """Log-likelihoods of the rows from `first` to before `stop` under candidate labels; the drift
-    before them is what earlier samples tell.
-
-    With several `bends`, factors on the unknown rates, the values of all candidates for the first
-    one come first.
-    """
-    first = max(first, 0)
-    rows = slice(first, min(stop, first + _MOST_ROWS * together // TOGETHER))
-    cut = fit.rows(rows)
-    parts = [Labels(*(field[rows] for field in labels)) for labels in candidates]
-    starts = group_starts(parts, together=together)
-    steps = [merged(steps_of(cut.with_phases(labels)), starts) for labels in parts]
-    scales = np.ones((len(bends), SIZE))
-    scales[:, RATE] = np.square(bends)[:, None]
-    values = kalman.log_likelihoods(
-        [step._replace(spread=step.spread * scale) for scale in scales for step in steps],
-        fit.intensities,
-        kalman.at_rest(cut.zero),
-    )
-    if not np.isfinite(values).any():
-        raise NoMotionError
-    return np.nan_to_num(values, nan=-np.inf)
-
-
 class Places(NamedTuple):
     """Where something may begin."""
 
@@ -148,7 +114,7 @@ def with_phases(fit: Fit) -> tuple[Fit, dict[int, Places]]:
         for change in before:
             found = _places_of(fit, change)
             median = found.quantile(0.5)
-            fit, places[median] = fit._replace(labels=fit.labels.moved(change, median)), found
+            fit, places[median] = fit._replace(labels=_parted(fit.labels, change, median)), found
         # A change depends on the place of another only if they are close.
         if len(before) < 2 or np.diff(before).min() > _REACH + _MARGIN:
             break
@@ -177,7 +143,7 @@ def _places_of(fit: Fit, change: int) -> Places:
     def tried(first: int, last: int, spacing: int, best: int) -> tuple[Codes, Samples]:
         first, last = max(low, first), min(high, last)
         places = np.unique([*range(first, last + 1, spacing), best, last])
-        other = [fit.labels.moved(change, place) for place in places.tolist()]
+        other = [_parted(fit.labels, change, place) for place in places.tolist()]
         begin, stop = min(change, int(places[0])), max(change, int(places[-1])) + 1
         return places, log_likelihoods(fit, other, begin - _MARGIN // 2, stop + _MARGIN // 2)
 
@@ -192,6 +158,14 @@ def _places_of(fit: Fit, change: int) -> Places:
     fine, values = tried(first, last, -(-(last - first + 1) // _FINE), best)
     width = np.diff(np.concatenate([fine[:1], (fine[:-1] + fine[1:]) / 2, fine[-1:]]))
     return Places(fine, softmax(values + np.log(width + 1e-9)))
+
+
+def _parted(labels: Labels, change: int, place: int) -> Labels:
+    """Labels with a change moved; a jump at it stays, as the wrench shows its place."""
+    other = labels.moved(change, place)
+    if labels.link[change] == JUMP:
+        other.link[[place, change]] = GO_ON, JUMP
+    return other
 
 
 def _room(labels: Labels, change: int) -> tuple[int, int]:
@@ -341,7 +315,7 @@ def drawn(fit: Fit, places: dict[int, Places]) -> list[Labels]:
         other = fit.labels.copy()
         for change, share in zip(changes, shares, strict=False):
             place = int(np.clip(places[change].quantile(share), *_room(other, change)))
-            other = other.moved(change, place)
+            other = _parted(other, change, place)
         each = zip(contacts, rivals, shares[len(changes) :], strict=True)
         for rows, (labels, probability), share in each:
             number = int(np.searchsorted(np.cumsum(probability), share))

@@ -24,6 +24,7 @@ from scipy.special import chdtri
 
 from vibrissa.inverse.inverse import single_contact
 from vibrissa.inverse.smoothing.kalman import RATE, WRENCH, Gaussian, States
+from vibrissa.inverse.smoothing.likelihood import log_likelihoods
 from vibrissa.inverse.smoothing.manifold import (
     ARC_LENGTH,
     COORDINATES,
@@ -55,8 +56,10 @@ from vibrissa.numerics.runs import runs
 DETECTION_SAMPLES = 5
 """Averaged before a load is tested, so that one outlier in a thousand is not a contact."""
 _LEAST_SAMPLES, _LONGEST_GAP = 8, 8
-_FIT_SAMPLES = 51
-"""Over which s₁ changes linearly: some tenths of a second."""
+_FIT_SAMPLES, _FEW_SAMPLES = 51, 7
+"""Over which s₁ changes linearly: some tenths of a second, or less where noise is low enough to see
+that it does not.
+"""
 _MOST_COST = 6.0
 """Log-likelihood beyond which a sample's arc length is an outlier."""
 _CHANGE_COST = 6.0
@@ -208,8 +211,13 @@ def _phases_of(value: Samples, deviation: Samples) -> tuple[Codes, Samples]:
     units of log-likelihood, and each tangential sample, being freer, a tenth.
     """
     weight = 1 / deviation**2
-    average = np.minimum(_running_line(value, weight), 1.0)
-    cost = np.minimum(np.stack([value - 1, value - average]) ** 2 * weight / 2, _MOST_COST)
+    average, closer = (
+        np.minimum(_running_line(value, weight, size), 1.0) for size in (_FIT_SAMPLES, _FEW_SAMPLES)
+    )
+    away = np.stack([value - 1, value - average, value - closer])
+    cost = np.minimum(away**2 * weight / 2, _MOST_COST)
+    # Where neither is near, the noise is so low that s₁ is seen to turn.
+    cost[1] = np.where(cost[:2].min(axis=0) < _MOST_COST, cost[1], cost[2])
     # With two states, Viterbi needs only the extra cost of the second so far, capped at that of a
     # change: where the cap is reached the state is known, and before it, it is that of the next
     # known one.
@@ -226,9 +234,9 @@ def _phases_of(value: Samples, deviation: Samples) -> tuple[Codes, Samples]:
     return np.where(more[following] < 0, TANGENTIAL, TIP), average
 
 
-def _running_line(value: Samples, weight: Samples) -> Samples:
-    """Weighted least-squares lines over 51 samples, at their midpoints."""
-    place, size = np.arange(len(value), dtype=float), min(_FIT_SAMPLES, len(value))
+def _running_line(value: Samples, weight: Samples, size: int) -> Samples:
+    """Weighted least-squares lines over so many samples, at their midpoints."""
+    place, size = np.arange(len(value), dtype=float), min(size, len(value))
     products = np.stack([place**0, place, place**2, value, place * value], axis=1)
     w, wx, wxx, wy, wxy = _running_sum(weight[:, None] * products, size).T
     determinant = w * wxx - wx**2
@@ -258,11 +266,16 @@ def with_snaps(fit: Fit) -> Labels:
     inside = touching & np.append(False, touching[:-1])
     for place in np.flatnonzero(inside & largest & (step > _STEP) & (step > _UNUSUAL * usual)):
         row = int(place - 1 + np.argmax(single[place - 1 : place + 2]))
+        # Either the phase changes there, or a snap on the flank is soon followed by a change.
+        moved = labels
         for change in labels.changes:
             if abs(change - row) <= _APART:
-                labels = labels.moved(change, row)
-        labels = labels.copy()
-        labels.link[row] = JUMP
+                moved = moved.moved(change, row)
+        tried = [labels.copy(), moved.copy()]
+        for each in tried:
+            each.link[row] = JUMP
+        values = log_likelihoods(fit, tried, row - 2 * _HALF, row + 2 * _HALF)
+        labels = tried[int(np.argmax(values))]
     return labels
 
 

@@ -1,4 +1,4 @@
-from . import io, live, plot, shape, surfaces
+from . import io, live, plot, rods, shape, surfaces
 from .calibration import Calibration, CalibrationError, calibrate
 from .contacts import ContactKind, Contacts, Motion, RecordingWarning, Status
 from .design import ExpectedError, expected_error
@@ -26,7 +26,7 @@ from .io import (
     write_contacts,
 )
 from .reactions import Reactions
-from .rod import Loads, RestShape, Rod, Section, Support, Thermal, rods
+from .rod import Loads, RestShape, Rod, Section, Support, Thermal
 from .sensor import Sensor
 from .tolerances import Tolerances
 from .trail import Trail

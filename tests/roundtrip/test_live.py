@@ -156,6 +156,22 @@ def test_a_shared_recording_replayed(sphere_60mm: Path) -> None:
     np.testing.assert_allclose(kept.all("point"), expected.point, rtol=1e-9, atol=1e-15)
 
 
+def test_a_row_with_a_repeated_stamp_is_lost_and_the_replay_goes_on(
+    tmp_path: Path, setup: vb.Setup
+) -> None:
+    lines = (FOLDER / "trail.csv").read_text().splitlines(keepends=True)
+    heading = next(place for place, line in enumerate(lines) if line[0].isdigit())
+    row = heading + 500
+    lines[row] = ",".join([lines[row - 1].split(",")[0], *lines[row].split(",")[1:]])
+    (tmp_path / "trail.csv").write_text("".join(lines))
+    raw = read_cleaned(tmp_path / "trail.csv", setup)
+    kept, report = replayed(setup, raw)
+    assert report.rows == len(lines) - heading
+    assert np.all(np.diff(np.concatenate(kept.stamp)) > 0)
+    (bad,) = np.flatnonzero(kept.all("status") == vb.Status.BAD_DATA)
+    assert bad == 500
+
+
 def test_a_smoothed_stream_is_what_the_filter_says_sample_by_sample(
     setup: vb.Setup, raw: RawRecording
 ) -> None:

@@ -121,7 +121,8 @@ def calibrate(
     Returns
     -------
     Calibration
-        Setup, estimates with confidence intervals, identifiability, residuals.
+        Setup, estimates with confidence intervals, identifiability, residuals. Estimates are those
+        of the rod as warm as it is in the setup.
 
     Raises
     ------

@@ -41,9 +41,11 @@ class ReplaySource(Source):
         if not len(raw.time):
             raise ValueError("the recording has no rows; allowed is at least one")
         self._due = np.round((raw.time - raw.time[0]) / self.speed * 1e9).astype(np.int64)
+        stamp, rows = np.round(raw.time * 1e9).astype(np.int64), np.arange(len(raw.time))
         self._samples = Samples(
-            np.round(raw.time * 1e9).astype(np.int64),
-            np.arange(len(raw.time)),
+            # A repeated stamp was moved by less than a nanosecond.
+            np.maximum.accumulate(stamp - rows) + rows,
+            rows,
             raw.force,
             raw.torque,
             np.isfinite(raw.wrench).all(axis=1),

@@ -3,7 +3,6 @@ dimensionless.
 """
 
 import vibrissa.numerics  # noqa: F401, 64-bit floats, also for derivatives with respect to a rod
-from vibrissa.rod import catalogue as rods
 from vibrissa.rod.loads import Loads
 from vibrissa.rod.record import rod_from_json, rod_to_json
 from vibrissa.rod.rest_shape import RestShape
@@ -21,5 +20,4 @@ __all__ = [
     "Thermal",
     "rod_from_json",
     "rod_to_json",
-    "rods",
 ]

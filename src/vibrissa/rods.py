@@ -3,9 +3,7 @@
 Moduli are of the material in general: where stiffness matters to better than 5 %, calibrate.
 """
 
-from vibrissa.rod.rest_shape import RestShape
-from vibrissa.rod.rod import Rod
-from vibrissa.rod.thermal import Thermal
+from vibrissa.rod import RestShape, Rod, Thermal
 
 __all__ = ["nitinol", "rat_whisker", "spring_steel"]
 

@@ -17,6 +17,12 @@ def tapered(share: float) -> vb.Rod:
     )
 
 
+def squares_of(off: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Squared distances (n,) in standard deviations."""
+    solved = np.linalg.solve(covariance, off[..., None])[..., 0]
+    return np.einsum("ni,ni->n", off, solved)
+
+
 RODS = {
     "a tenth": (tapered(0.1), 0.002),
     "a third, bent": (tapered(0.3).curved(vb.RestShape.arc(0.15, roll=0.5)), 0.004),
@@ -43,11 +49,7 @@ def test_ellipsoids_hold_the_contact_at_any_strength(name: str) -> None:
     off = found.point - scan.point[which]
     assert found.covariance is not None
     squares = np.full(len(which), np.nan)
-    squares[sound] = np.einsum(
-        "ni,ni->n",
-        off[sound],
-        np.linalg.solve(found.covariance[sound], off[sound, :, None])[..., 0],
-    )
+    squares[sound] = squares_of(off[sound], found.covariance[sound])
     held = np.array(
         [np.mean(part[np.isfinite(part)] < LIMIT) for part in np.split(squares, len(rows))]
     )
@@ -55,6 +57,29 @@ def test_ellipsoids_hold_the_contact_at_any_strength(name: str) -> None:
     # Three standard errors of 200 draws below 95 %, or nearly all where errors are overstated.
     assert held.min() > 0.9, held
     assert 0.94 < held.mean() < 0.99, held
+
+
+def swept(rod: vb.Rod, height: float, noise: float) -> tuple[vb.Scan, np.ndarray, vb.Reactions]:
+    """A sweep below a ball whose centre is so high [m], the position of each row, and the readings
+    with noise in model units.
+    """
+    rest, count = 200, 500
+    trail = vb.Trail.line(start=(0.045, 0.008, 0), stop=(-0.045, 0.008, 0), count=count)
+    scan = vb.scan(rod, vb.surfaces.Sphere(center=(0, 0, height), radius=0.03), trail)
+    sensor = vb.Sensor(
+        (0, 0, 0.02),
+        (0, 0, 0, 1),
+        "on_sensor",
+        force_noise=noise * rod.force_scale,
+        torque_noise=noise / 2 * rod.moment_scale,
+        tare_seconds=0.9,
+        rod=rod,
+    )
+    which = np.append(np.zeros(rest, dtype=int), np.arange(count))
+    force, moment = np.hsplit(scan.reactions.wrench[which], 2)
+    exact = vb.Reactions(trail[which], force, moment, time=np.arange(rest + count) / 200)
+    raw = sensor.measure(exact, np.random.default_rng(0), force_tare=(0.3, -0.1, 0.8))
+    return scan, which, sensor.reactions(raw)
 
 
 SWEPT = {"half": (0.5, 2e-3, 0.065), "a tenth": (0.1, 5e-4, 0.075), "uniform": (1.0, 1e-4, 0.065)}
@@ -67,24 +92,9 @@ def test_smoothed_contacts_change_phase_where_they_do_and_stay_on_the_rod(name: 
     And under little noise s₁ is seen to turn, which is no tip contact.
     """
     share, noise, height = SWEPT[name]
-    rod, rest, count = tapered(share), 200, 500
-    trail = vb.Trail.line(start=(0.045, 0.008, 0), stop=(-0.045, 0.008, 0), count=count)
-    ball = vb.surfaces.Sphere(center=(0, 0, height), radius=0.03)
-    scan = vb.scan(rod, ball, trail)
-    sensor = vb.Sensor(
-        (0, 0, 0.02),
-        (0, 0, 0, 1),
-        "on_sensor",
-        force_noise=noise * rod.force_scale,
-        torque_noise=noise / 2 * rod.moment_scale,
-        tare_seconds=0.9,
-        rod=rod,
-    )
-    which = np.append(np.zeros(rest, dtype=int), np.arange(count))
-    force, moment = np.hsplit(scan.reactions.wrench[which], 2)
-    swept = vb.Reactions(trail[which], force, moment, time=np.arange(rest + count) / 200)
-    raw = sensor.measure(swept, np.random.default_rng(0), force_tare=(0.3, -0.1, 0.8))
-    found = vb.smooth(vb.reconstruct(rod, sensor.reactions(raw), friction=0))
+    rod = tapered(share)
+    scan, which, given = swept(rod, height, noise)
+    found = vb.smooth(vb.reconstruct(rod, given, friction=0))
     assert found.smoothing is not None
     (touch,) = found.smoothing[0].touches
     true = np.flatnonzero(np.diff(scan.kind[which])) + 1
@@ -95,5 +105,20 @@ def test_smoothed_contacts_change_phase_where_they_do_and_stay_on_the_rod(name: 
     off = (found.point - scan.point[which])[sound]
     assert np.linalg.norm(off, axis=1).max() < 0.005 * LENGTH
     assert found.covariance is not None
-    solved = np.linalg.solve(found.covariance[sound], off[..., None])[..., 0]
-    assert np.mean(np.einsum("ni,ni->n", off, solved) < LIMIT) > 0.9
+    assert np.mean(squares_of(off, found.covariance[sound]) < LIMIT) > 0.9
+
+
+def test_a_live_filter_goes_on_where_no_rod_has_the_coordinates_expected() -> None:
+    """One such sample made all that followed it free of contact."""
+    rod = tapered(0.1)
+    scan, which, given = swept(rod, 0.065, 5e-4)
+    assert given.covariance is not None
+    smoother = vb.CausalSmoother(rod, given.covariance, speed=0.036, friction=0)
+    live = smoother.update_all(given)
+    touching = scan.in_contact[which]
+    assert np.all(live.status == vb.Status.OK)
+    seen = touching & (live.kind > 0)
+    assert seen.sum() > 0.97 * touching.sum()
+    assert live.arc_length[seen].max() < 1.03 * LENGTH
+    off = (live.point - scan.point[which])[seen]
+    assert np.mean(squares_of(off, live.covariance[seen]) < LIMIT) > 0.9

@@ -7,6 +7,7 @@ models: Blom & Bar-Shalom, *IEEE Trans. Automatic Control* 33, 1988).
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -14,6 +15,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.flatten_util import ravel_pytree
+from jax.scipy.special import log_ndtr
 from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 from scipy.special import chdtri
@@ -290,13 +293,14 @@ class CausalSmoother:
         rows = located(rod, trail, *found[:4], self._given, self._model_error)
         rows = with_shared(rows, rod.length, self._errors)
         touching = (found.probability >= 0.5) & (found.load > self._threshold)
-        sound = finite(wrench)
+        status = np.where(touching & ~finite(found.linear), Status.NOT_CONVERGED, Status.OK)
+        status = np.where(finite(wrench), status, Status.BAD_DATA)
         return LiveContact(
             time,
             np.where(touching, found.kind, FREE).astype(np.int8),
             **chosen(touching, rows, np.nan),
             probability=found.probability,
-            status=np.where(sound, Status.OK, Status.BAD_DATA).astype(np.int8),
+            status=status.astype(np.int8),
         )
 
 
@@ -352,6 +356,9 @@ def _one(
         # The sample linearised about the prediction, its squared distance from it, and its setup
         # errors.
         linear = linear_at(mean[PLACE, 0], settings.rod, pose)
+        # Where no rod has these coordinates the hypothesis is wrong, and begins anew from others.
+        exists = jnp.all(jnp.isfinite(ravel_pytree(linear)[0]))
+        linear = jax.tree.map(lambda part: jnp.where(exists, part, 0.0), linear)
         target, slope = observed(linear, wrench, settings.whitening, jnp)
         value, slope = linear.value, slope * (kind != FREE)
         by_setup = changes(settings.rig, value.wrench, value.reach, value.direction, velocity)
@@ -363,12 +370,19 @@ def _one(
         away = target[:WRENCH, 0] - design @ mean[:, 0]
         spread = design @ covariance @ design.T + jnp.eye(WRENCH)
         distance = away @ jnp.linalg.solve(spread, away)
-        noise = jnp.where(sound, jnp.maximum(1.0, distance / OUTLIER), jnp.inf)
+        noise = jnp.where(sound & exists, jnp.maximum(1.0, distance / OUTLIER), jnp.inf)
         square = jnp.where(kind == TANGENTIAL, settings.incidence_variance, jnp.inf)
         variance = jnp.append(jnp.full(ROWS - 1, noise), square).at[WRENCH].set(jnp.inf)
         step = step._replace(variance=variance)
         state, told = kalman.updated(Gaussian(mean, covariance), step)
-        return state, kalman.log_likelihood(step, told)[0], jnp.where(sound, distance, 0.0)
+        # The probability that noise alone puts a contact so far beyond the tip, or as far short.
+        beyond = (state.mean[ARC_LENGTH, 0] - 1) / jnp.sqrt(
+            jnp.maximum(state.covariance[ARC_LENGTH, ARC_LENGTH], TINY)
+        )
+        on_rod = jnp.minimum(math.log(2) + log_ndtr(-beyond), 0.0) * (kind == TANGENTIAL)
+        likelihood = kalman.log_likelihood(step, told)[0] + on_rod
+        likelihood = jnp.where(exists | ~sound, likelihood, -jnp.inf)
+        return state, likelihood, jnp.where(sound, jnp.where(exists, distance, jnp.inf), 0.0)
 
     states, likelihoods, excess = jax.vmap(one)(jnp.arange(3))
     weight = arrival * jnp.exp(likelihoods - jnp.max(likelihoods))

@@ -266,16 +266,18 @@ def with_snaps(fit: Fit) -> Labels:
     inside = touching & np.append(False, touching[:-1])
     for place in np.flatnonzero(inside & largest & (step > _STEP) & (step > _UNUSUAL * usual)):
         row = int(place - 1 + np.argmax(single[place - 1 : place + 2]))
-        # Either the phase changes there, or a snap on the flank is soon followed by a change.
         moved = labels
         for change in labels.changes:
-            if abs(change - row) <= _APART:
+            if 0 < abs(change - row) <= _APART:
                 moved = moved.moved(change, row)
-        tried = [labels.copy(), moved.copy()]
+        tried = [moved.copy(), labels.copy()]
         for each in tried:
             each.link[row] = JUMP
-        values = log_likelihoods(fit, tried, row - 2 * _HALF, row + 2 * _HALF)
-        labels = tried[int(np.argmax(values))]
+        # Either the phase changes there, or a snap on the flank is soon followed by a change: if
+        # nothing is known of the states, the first.
+        around = row - 2 * _HALF, row + 2 * _HALF
+        tells = moved is not labels and fit.states is not None
+        labels = tried[int(np.argmax(log_likelihoods(fit, tried, *around))) if tells else 0]
     return labels
 
 

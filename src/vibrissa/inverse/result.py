@@ -51,8 +51,8 @@ class Reconstruction:
         rod it is k² of the elliptic integrals.
     covariance, normal_covariance
         (…, 3, 3) of point and force direction: sample-to-sample errors, to first order, or by
-        second moments if the force is weak, plus errors shared by the whole sweep; None if the
-        noise is unknown.
+        second moments if the force is weak or the rod thin there, plus errors shared by the whole
+        sweep; None if the noise is unknown.
     covariance_noise, normal_covariance_noise
         (…, 3, 3) of what varies from sample to sample: noise of the wrench and of the pose.
     arc_length_deviation

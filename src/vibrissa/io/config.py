@@ -157,7 +157,8 @@ def one_line(error: ValidationError, model: type[Table]) -> str:
     )
     schema = model.model_json_schema()
     # A list without its wrong entries is too short as well.
-    around = {error["loc"][:-1] for error in errors if isinstance(error["loc"][-1], int)}
+    within = (error["loc"] for error in errors if error["loc"])
+    around = {place[:-1] for place in within if isinstance(place[-1], int)}
     errors = [error for error in errors if error["loc"] not in around]
     findings = list(dict.fromkeys(_finding(one, schema) for one in errors))
     more = len(findings) - _SHOWN

@@ -23,6 +23,7 @@ from vibrissa.inverse.smoothing.model import (
     TOGETHER,
     Codes,
     Fit,
+    Flags,
     Labels,
     Samples,
     group_starts,
@@ -125,13 +126,18 @@ def within_the_rod(labels: Labels, states: States) -> Labels:
     """Labels with tip contact where tangential contact would lie clearly beyond the tip: a thin tip
     hardly resists being bent until the force is perpendicular to a rod that went on.
     """
-    beyond = states.mean[:, ARC_LENGTH] - 1
-    deviation = np.sqrt(np.maximum(states.covariance[:, ARC_LENGTH, ARC_LENGTH], TINY))
-    for first, stop in runs((labels.phase == TANGENTIAL) & (beyond > 0)):
-        rows = slice(first, stop)
-        if stop - first >= _LEAST_RUN and np.any(beyond[rows] > _BEYOND * deviation[rows]):
-            labels = labels.in_phase(TIP, rows)
+    beyond, clearly = states.mean[:, ARC_LENGTH] > 1, beyond_tip(labels, states)
+    for first, stop in runs((labels.phase == TANGENTIAL) & beyond):
+        if stop - first >= _LEAST_RUN and clearly[first:stop].any():
+            labels = labels.in_phase(TIP, slice(first, stop))
     return labels
+
+
+def beyond_tip(labels: Labels, states: States) -> Flags:
+    """Samples whose tangential contact lies clearly beyond the tip."""
+    deviation = np.sqrt(np.maximum(states.covariance[:, ARC_LENGTH, ARC_LENGTH], TINY))
+    beyond = states.mean[:, ARC_LENGTH] - 1
+    return (labels.phase == TANGENTIAL) & (beyond > _BEYOND * deviation)
 
 
 def _places_of(fit: Fit, change: int) -> Places:

@@ -18,6 +18,7 @@ from vibrissa.inverse.result import Reconstruction
 from vibrissa.inverse.shared import with_shared
 from vibrissa.inverse.smoothing.branches import branch_of
 from vibrissa.inverse.smoothing.changes import (
+    beyond_tip,
     drawn,
     reversed_fit,
     with_onset,
@@ -276,13 +277,14 @@ def _smoothed_segment(
 
 
 def _within_the_rod(fit: Fit) -> Fit:
-    """Fitted again until no contact lies beyond the tip."""
+    """Fitted again until no contact lies beyond the tip; as it was where that has another cause."""
+    tried = fit
     for _ in range(_ROUNDS):
-        labels = within_the_rod(fit.labels, fit.states)
-        if np.array_equal(labels.phase, fit.labels.phase):
+        labels = within_the_rod(tried.labels, tried.states)
+        if np.array_equal(labels.phase, tried.labels.phase):
             break
-        fit = fitted(fit._replace(labels=labels))
-    return fit
+        tried = fitted(tried._replace(labels=labels))
+    return fit if beyond_tip(tried.labels, tried.states).any() else tried
 
 
 def _touches(labels: Labels, edges: np.ndarray, deviation: Samples) -> tuple[Touch, ...]:

@@ -24,7 +24,6 @@ from scipy.special import chdtri
 
 from vibrissa.inverse.inverse import single_contact
 from vibrissa.inverse.smoothing.kalman import RATE, WRENCH, Gaussian, States
-from vibrissa.inverse.smoothing.likelihood import log_likelihoods
 from vibrissa.inverse.smoothing.manifold import (
     ARC_LENGTH,
     COORDINATES,
@@ -248,7 +247,7 @@ def _running_line(value: Samples, weight: Samples, size: int) -> Samples:
 
 def with_snaps(fit: Fit) -> Labels:
     """Jumps where the wrench steps from one sample to the next, far beyond its noise and its course
-    before and after; a change of phase near one is moved there.
+    before and after.
     """
     labels, sound, count = fit.labels, fit.series.sound, len(fit.labels.phase)
     if count < 2 * _HALF or not sound.any():
@@ -266,19 +265,22 @@ def with_snaps(fit: Fit) -> Labels:
     inside = touching & np.append(False, touching[:-1])
     for place in np.flatnonzero(inside & largest & (step > _STEP) & (step > _UNUSUAL * usual)):
         row = int(place - 1 + np.argmax(single[place - 1 : place + 2]))
-        moved = labels
-        for change in labels.changes:
-            if 0 < abs(change - row) <= _APART:
-                moved = moved.moved(change, row)
-        tried = [moved.copy(), labels.copy()]
-        for each in tried:
-            each.link[row] = JUMP
-        # Either the phase changes there, or a snap on the flank is soon followed by a change: if
-        # nothing is known of the states, the first.
-        around = row - 2 * _HALF, row + 2 * _HALF
-        tells = moved is not labels and fit.states is not None
-        labels = tried[int(np.argmax(log_likelihoods(fit, tried, *around))) if tells else 0]
+        labels = labels.copy()
+        labels.link[row] = JUMP
     return labels
+
+
+def changes_near_snaps(labels: Labels) -> list[tuple[int, int]]:
+    """Changes of phase that a jump is near, but not at, and its place: the one may have been taken
+    for the other, or a snap on the flank is soon followed by a change.
+    """
+    jumps = np.flatnonzero(labels.link == JUMP).tolist()
+    return [
+        (change, jump)
+        for jump in jumps
+        for change in labels.changes
+        if 0 < abs(change - jump) <= _APART
+    ]
 
 
 def with_jumps(fit: Fit) -> Labels:

@@ -49,7 +49,7 @@ from vibrissa.inverse.smoothing.model import (
     incidence_spread_of,
     series_of,
 )
-from vibrissa.inverse.smoothing.phases import with_jumps, with_snaps
+from vibrissa.inverse.smoothing.phases import changes_near_snaps, with_jumps, with_snaps
 from vibrissa.inverse.smoothing.result import Smoothing, Touch
 from vibrissa.numerics.progress import Progress, Stages, Tally
 from vibrissa.numerics.runs import runs
@@ -232,8 +232,7 @@ def _smoothed_segment(
         # Again, now that the drift of the zero is known.
         guess = first_guess(rod, series, fit.states.zero, false_alarm, spread)
         fit = fit._replace(labels=guess.labels, linear=guess.linear)
-    fit = fitted(fit._replace(labels=with_snaps(fit)))
-    fit = _within_the_rod(fit)
+    fit = _within_the_rod(_with_snaps(fit))
     stages.end_one()
     # So that tangential contact is not taken for a jump.
     phased, places = with_phases(fit)
@@ -274,6 +273,20 @@ def _smoothed_segment(
         "edges": edges,
         "change_deviation": change_deviation,
     }, fit
+
+
+def _with_snaps(fit: Fit) -> Fit:
+    """Fitted with jumps at steps of the wrench; a change of phase near one is moved onto it if the
+    fit is then more likely.
+    """
+    fit = fitted(fit._replace(labels=with_snaps(fit)))
+    for change, jump in changes_near_snaps(fit.labels):
+        labels = fit.labels.moved(change, jump)
+        labels.link[jump] = JUMP
+        moved = fitted(fit._replace(labels=labels))
+        if np.sum(moved.states.log_likelihood) > np.sum(fit.states.log_likelihood):
+            fit = moved
+    return fit
 
 
 def _within_the_rod(fit: Fit) -> Fit:

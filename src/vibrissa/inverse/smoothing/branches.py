@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.special import logsumexp
 
 from vibrissa.contacts import Status
 from vibrissa.inverse.candidates import open_rows
@@ -35,6 +34,9 @@ _MOST, _NOISE, _LEAST = 0.9, 1.645**2, 1e-3
 """Share of the moves between two samples that count as usual, the square below which that share of
 normal errors lies, and how far those moves are at least [L].
 """
+
+_log_sum = np.logaddexp.reduce
+"""Of few numbers in a hundredth of the time that SciPy's takes."""
 
 
 class Places(NamedTuple):
@@ -125,12 +127,10 @@ def _moves(past: Places, after: Places, pace: float) -> tuple[np.ndarray, Places
     away, noise = _apart(past, after)
     onward = _density(away, noise + pace**2)
     own, last = onward.max(axis=0), onward.argmax(axis=0)
-    each, leaving = np.zeros_like(onward), _at_tip(after, pace) + _LEAP
+    each, at_tip = np.zeros_like(onward), _at_tip(after)
+    leaving = np.logaddexp(_at_tip(after, pace) + _LEAP, _LEAP)
     moves = np.block(
-        [
-            [np.logaddexp(onward, _LEAP), _at_tip(after) + _LEAP + each],
-            [np.logaddexp(leaving, _LEAP) + each, _at_tip(after) + each],
-        ]
+        [[np.logaddexp(onward, _LEAP), at_tip + _LEAP + each], [leaving + each, at_tip + each]]
     )
     wrong = np.maximum(own, _ANEW)
     before = np.where(own > _ANEW, past.deviation[last] ** 2 + pace**2, np.inf)
@@ -150,12 +150,12 @@ def marginals(places: list[Places], paces: Float[np.ndarray, "m"]) -> list[np.nd
     ahead, back = ([np.zeros(2 * len(place.arc_length)) for place in places] for _ in range(2))
     ahead[0] = np.concatenate([np.zeros_like(places[0].arc_length), _at_tip(places[0])])
     for i, move in enumerate(moves):
-        ahead[i + 1] = logsumexp(ahead[i][:, None] + move, axis=0)
-        ahead[i + 1] -= logsumexp(ahead[i + 1])
+        ahead[i + 1] = _log_sum(ahead[i][:, None] + move, axis=0)
+        ahead[i + 1] -= _log_sum(ahead[i + 1])
     for i, move in reversed(list(enumerate(moves))):
-        back[i] = logsumexp(move + back[i + 1], axis=1)
-        back[i] -= logsumexp(back[i])
+        back[i] = _log_sum(move + back[i + 1], axis=1)
+        back[i] -= _log_sum(back[i])
     return [
-        np.exp(a + b - logsumexp(a + b)).reshape(2, -1).sum(axis=0)
+        np.exp(a + b - _log_sum(a + b)).reshape(2, -1).sum(axis=0)
         for a, b in zip(ahead, back, strict=True)
     ]

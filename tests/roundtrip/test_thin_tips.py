@@ -30,7 +30,9 @@ RODS = {
 }
 
 
-@pytest.mark.parametrize("name", RODS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * ("pivot" in name)) for name in RODS]
+)
 def test_ellipsoids_hold_the_contact_at_any_strength(name: str) -> None:
     """Forces from 4 to 200 times their noise: of first order they held half to nine tenths."""
     rod, noise = RODS[name]
@@ -92,7 +94,9 @@ SWEPT = {"half": (0.5, 2e-3, 0.065), "a tenth": (0.1, 5e-4, 0.075), "uniform": (
 """Tip's share of the radius, noise [EI/L², EI/L], and height of the ball's centre [m]."""
 
 
-@pytest.mark.parametrize("name", SWEPT)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "half")) for name in SWEPT]
+)
 def test_smoothed_contacts_change_phase_where_they_do_and_stay_on_the_rod(name: str) -> None:
     """A thin tip hardly resists being bent: contacts far beyond it explain the readings as well.
     And under little noise s₁ is seen to turn, which is no tip contact.
@@ -114,6 +118,7 @@ def test_smoothed_contacts_change_phase_where_they_do_and_stay_on_the_rod(name: 
     assert np.mean(squares_of(off, found.covariance[sound]) < LIMIT) > 0.9
 
 
+@pytest.mark.slow
 def test_a_live_filter_goes_on_where_no_rod_has_the_coordinates_expected() -> None:
     """One such sample made all that followed it free of contact."""
     rod = tapered(0.1)
@@ -132,7 +137,10 @@ def test_a_live_filter_goes_on_where_no_rod_has_the_coordinates_expected() -> No
 
 @pytest.mark.parametrize(
     ("share", "radius", "roll", "height", "y"),
-    [(0.3, 0.0969, 2.747, 0.071, 0.0002), (0.5, 0.1005, 5.4945, 0.0678, -0.0024)],
+    [
+        (0.3, 0.0969, 2.747, 0.071, 0.0002),
+        pytest.param(0.5, 0.1005, 5.4945, 0.0678, -0.0024, marks=pytest.mark.slow),
+    ],
 )
 def test_a_change_of_phase_soon_after_or_before_a_snap_keeps_its_place(
     share: float, radius: float, roll: float, height: float, y: float

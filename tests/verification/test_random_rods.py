@@ -133,7 +133,10 @@ def cases(semi_axes: tuple[float, ...], seed: int) -> list[Case]:
     return found
 
 
-@pytest.mark.parametrize("semi_axes", [BALL, EGG], ids=["ball", "egg"])
+@pytest.mark.parametrize(
+    "semi_axes",
+    [pytest.param(BALL, marks=pytest.mark.slow, id="ball"), pytest.param(EGG, id="egg")],
+)
 def test_equilibria_are_those_of_independent_shooting(semi_axes: tuple[float, ...]) -> None:
     """A light contact of each rod, one in the middle of its trail and the last."""
     kinds, random = set(), np.random.default_rng(3)

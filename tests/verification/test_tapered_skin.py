@@ -12,7 +12,13 @@ CENTER, RADIUS = np.array([0.3, 0.0, 1.05]), 0.25
 ROD = vb.Rod.tapered(length=1.0, base_radius=0.04, tip_radius=0.01, youngs_modulus=5e5)
 
 
-@pytest.mark.parametrize("rod", [ROD, ROD.curved(vb.RestShape.arc(radius=3.0, roll=0.4))])
+@pytest.mark.parametrize(
+    "rod",
+    [
+        pytest.param(ROD, marks=pytest.mark.slow),
+        ROD.curved(vb.RestShape.arc(radius=3.0, roll=0.4)),
+    ],
+)
 def test_the_skin_touches_once_and_nowhere_else_enters(rod: vb.Rod, tmp_path: Path) -> None:
     """At the contact the centre line is one local radius away from the ball, nowhere nearer; the
     point lies on the ball, and the skin is tangent to it unless the tip touches.

@@ -42,7 +42,7 @@ settings.load_profile("vibrissa")
 
 _TOGETHER = (
     r"calibrat|setup_check",
-    r"smooth|kalman|manifold",
+    r"smooth|kalman|manifold|thin_tips|branches|engine_rods|loaded_recordings|expected_error|loads_and_back",
     r"oracle|equilibria|stability|second_variation|test_friction\.py|friction_and_back|surface_sensing",
     r"test_noise\.py|channels|test_contact\.py|test_scene",
     r"degenerate|convex_objects|scan_of_primitives",

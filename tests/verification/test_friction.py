@@ -244,7 +244,6 @@ def shot_with_friction(clamps: np.ndarray, first: np.ndarray, softness: float) -
     return found[1:]
 
 
-@pytest.mark.slow
 def test_shooting_with_a_soft_law_of_friction_goes_the_same_way() -> None:
     """From first contact on, in tip contact: the softened law tends to Coulomb's where the rod
     slides.

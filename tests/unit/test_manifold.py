@@ -96,7 +96,6 @@ WHISKER = (
 )
 
 
-@pytest.mark.slow
 def test_contacts_of_any_rod_are_found_from_their_coordinates() -> None:
     """Tapered, curved, heavy, softly held and tilted: the scan's reactions in excess of the free
     rod's, and its contacts, to the smoother's resolution; derivatives by finite differences.

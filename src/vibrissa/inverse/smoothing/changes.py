@@ -10,7 +10,8 @@ from jaxtyping import Int
 from scipy.special import logsumexp, softmax
 
 from vibrissa.inverse.smoothing import kalman
-from vibrissa.inverse.smoothing.kalman import RATE, SIZE, Gaussian, States
+from vibrissa.inverse.smoothing.kalman import RATE, Gaussian, States
+from vibrissa.inverse.smoothing.likelihood import log_likelihoods
 from vibrissa.inverse.smoothing.manifold import ARC_LENGTH, LOADS
 from vibrissa.inverse.smoothing.model import (
     FREE,
@@ -24,7 +25,6 @@ from vibrissa.inverse.smoothing.model import (
     Fit,
     Flags,
     Labels,
-    NoMotionError,
     Samples,
     group_starts,
     merged,
@@ -36,8 +36,6 @@ from vibrissa.numerics.runs import runs
 
 _MARGIN = 96
 """Samples about a place, within which rival places can be told apart."""
-_MOST_ROWS = 1536
-"""Most samples compared, in groups of four: some seconds."""
 _SWEEPS, _REACHES = 2, 3
 _REACH, _SPACING, _FINE = 160, 8, 32
 """Samples within which a change is first sought, their spacing, and the most places tried next."""
@@ -79,38 +77,6 @@ _ALWAYS = 2
 """The given phases, and tip contact throughout, with which all are compared."""
 _LEAST_ROWS = 24
 """Fewest samples of a contact that leave four for a tangential phase in one of its sixths."""
-
-
-def log_likelihoods(
-    fit: Fit,
-    candidates: list[Labels],
-    first: int,
-    stop: int,
-    together: int = TOGETHER,
-    bends: tuple[float, ...] = (1.0,),
-) -> Samples:
-    """Log-likelihoods of the rows from `first` to before `stop` under candidate labels; the drift
-    before them is what earlier samples tell.
-
-    With several `bends`, factors on the unknown rates, the values of all candidates for the first
-    one come first.
-    """
-    first = max(first, 0)
-    rows = slice(first, min(stop, first + _MOST_ROWS * together // TOGETHER))
-    cut = fit.rows(rows)
-    parts = [Labels(*(field[rows] for field in labels)) for labels in candidates]
-    starts = group_starts(parts, together=together)
-    steps = [merged(steps_of(cut.with_phases(labels)), starts) for labels in parts]
-    scales = np.ones((len(bends), SIZE))
-    scales[:, RATE] = np.square(bends)[:, None]
-    values = kalman.log_likelihoods(
-        [step._replace(spread=step.spread * scale) for scale in scales for step in steps],
-        fit.intensities,
-        kalman.at_rest(cut.zero),
-    )
-    if not np.isfinite(values).any():
-        raise NoMotionError
-    return np.nan_to_num(values, nan=-np.inf)
 
 
 class Places(NamedTuple):

@@ -10,6 +10,7 @@ import xarray
 
 import vibrissa as vb
 from vibrissa.io import write_dataset
+from vibrissa.numerics.lanes import WIDTH
 
 UNIT = vb.Rod.unit()
 STATUS, KIND, EVENT = vb.Status, vb.ContactKind, vb.EventKind
@@ -226,3 +227,19 @@ def test_a_rod_that_rests_through_the_object_starts_in_contact(place: float) -> 
     assert scan.kind[0] != vb.ContactKind.NONE
     assert np.all(scan.status == STATUS.OK)
     assert np.isfinite(scan.reactions.force).all()
+
+
+@pytest.mark.parametrize("rod", [UNIT, CURVED], ids=["straight", "curved"])
+def test_events_of_many_trails_are_those_of_each_alone(rod: vb.Rod) -> None:
+    """Many are roots of the conditions and of what changes sign; few are bracketed by equilibria."""
+    ball = vb.surfaces.Sphere(center=(0.0, 0.0, 1.1), radius=0.5)
+    sweeps = [line(y, 0.9, -0.9) for y in np.linspace(-0.3, 0.25, 60)]
+    many = vb.scan(rod, ball, vb.Trail.stack(sweeps)).events
+    assert len(many) > len(sweeps) + WIDTH
+    for trail in (0, 27, 59):
+        own = [event for event in many if event.trail == trail]
+        alone = vb.scan(rod, ball, sweeps[trail]).events
+        assert [event.kind for event in own] == [event.kind for event in alone]
+        for here, there in zip(own, alone, strict=True):
+            assert here.parameter == pytest.approx(there.parameter, abs=1e-11)
+            np.testing.assert_allclose(here.point, there.point, atol=1e-9)

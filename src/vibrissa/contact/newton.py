@@ -43,6 +43,7 @@ class Step(NamedTuple):
     """Of the Jacobian before the step: its sign changes where an equilibrium without friction gains
     or loses stability.
     """
+    jacobian: Float[Array, "unknowns unknowns"]
 
 
 def signed(determinant: Scalar, xp: Any = jnp) -> Scalar:
@@ -88,7 +89,7 @@ def step_from(
     share = jnp.minimum(1.0, longest / jnp.maximum(distance, longest))
     largest = jnp.max(jnp.abs(residual))
     there = (not cautious) & (largest <= _MET) & ~(distance < _ASTRAY)
-    return Step(jnp.where(there, x, x - share * step), largest, signed(determinant)), told
+    return Step(jnp.where(there, x, x - share * step), largest, signed(determinant), jacobian), told
 
 
 def differences(

@@ -1,18 +1,28 @@
-"""Events between two positions, found as bracketed roots along the stretch; each evaluation solves
-an equilibrium.
+"""Events between two positions: as roots of the conditions of contact together with what changes
+sign, by Newton's method; or as bracketed roots along the stretch, where each evaluation solves an
+equilibrium.
 """
 
 from enum import IntEnum
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jax import Array
+from jaxtyping import Bool, Float, Int
 
-from vibrissa.contact import Law, Reached, Scene
-from vibrissa.forward.march import SHARP, Steps, entering, march
+from vibrissa.contact import Law, Reached, Scene, State, Touching, touching
+from vibrissa.forward.march import RUBBING, SHARP, Steps, entering, march, newton
 from vibrissa.forward.path import Stretch, chosen, either
+from vibrissa.geometry.rotation import lengths
+from vibrissa.mechanics.model import RodModel
 from vibrissa.numerics.bracket import roots
+from vibrissa.numerics.lanes import WIDTH, lanes
+from vibrissa.numerics.vectors import joined
+
+Scalar = Float[Any, ""]
 
 
 class Indicator(IntEnum):
@@ -47,16 +57,104 @@ def located(
     high: Place,
     indicator: Int[np.ndarray, "k"],
 ) -> Place:
-    """Where indicators cross zero on stretches (k, …), between two places. Each place tried is one
-    step from the first or, without friction, from the one nearer to zero.
+    """Where indicators cross zero on stretches (k, …), between two places; by linear interpolation
+    where neither method finds it, as next to a contact that jumps or when the rod comes to lie
+    along a face.
+    """
+    before, after = (_indicated(end, indicator) for end in (low, high))
+    found = _between(low, high, before / np.where(before == after, 1.0, before - after))
+    given = stretches, low, high, found, indicator
+    methods = [_crossed, _bracketed] if law.branch else [_bracketed]
+    if len(indicator) <= WIDTH:
+        # Few are quicker found by code that is compiled already.
+        methods.reverse()
+    left = np.arange(len(indicator))
+    for method in methods:
+        if left.size:
+            places, sound = method(scene, law, *chosen(given, left))
+            jax.tree.map(partial(_put, left[sound]), found, chosen(places, sound))
+            left = left[~sound]
+    return found
+
+
+def _indicated(place: Place, indicator: Int[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
+    return np.take_along_axis(place.indicators, indicator[:, None], axis=1)[:, 0]
+
+
+def _put(rows: Int[np.ndarray, "j"], whole: np.ndarray, part: np.ndarray) -> None:
+    whole[rows] = part
+
+
+def _crossed(
+    scene: Scene,
+    law: Law,
+    stretches: Stretch,
+    low: Place,
+    high: Place,
+    expected: Place,
+    indicator: Int[np.ndarray, "k"],
+) -> tuple[Place, Bool[np.ndarray, "k"]]:
+    """Roots of the conditions of contact and the indicator, near where they are expected; and which
+    are sound: converged, between the places, and no further from there than these are apart.
+    """
+    side = low.reached.state.point - stretches.at(low.fraction[:, None]).point
+    start = expected.reached.state, expected.fraction
+    found = _crossing((scene, law), stretches, start, side, indicator)
+    before, at, between, after = (
+        reached.state.point
+        for reached in (low.reached, found.reached, expected.reached, high.reached)
+    )
+    sound = (found.residual <= RUBBING) & (lengths(at - between) <= lengths(after - before))
+    sound &= (found.fraction >= low.fraction) & (found.fraction <= high.fraction)
+    return expected._replace(fraction=found.fraction, reached=found.reached), sound
+
+
+class _Crossing(NamedTuple):
+    fraction: Scalar
+    reached: Reached
+    residual: Scalar
+
+
+@lanes(walks=True)
+def _crossing(
+    shared: tuple[Scene, Law],
+    way: Stretch,
+    start: tuple[State, Scalar],
+    side: Float[Any, "3"],
+    indicator: Int[Any, ""],
+) -> _Crossing:
+    """Where an indicator is zero on a stretch, near a state and fraction.
+
+    The phase has a kink where it is zero, but (1 − s₁) − away = 0 together with min(1 − s₁, away) =
+    0 is two smooth conditions, whichever of the two is less.
+    """
+    scene, law = shared
+    of_force = indicator == Indicator.FORCE
+
+    def conditions(y: Array, rod: RodModel, near: Scalar | None) -> tuple[Array, Touching]:
+        own, state = scene._replace(rod=rod), State.of(y[:-1], rod.unknowns)
+        found = touching(own, law, state, way.clamp(y[-1]), side=side, near=near)
+        return joined(found.residual, jnp.where(of_force, state.force, found.phase)), found
+
+    found = newton(scene.rod, law, conditions, joined(start[0].flat, start[1]), SHARP)
+    state = State.of(found.x[:-1], scene.rod.unknowns)
+    return _Crossing(found.x[-1], Reached(state, found.arc_length, found.tangent), found.residual)
+
+
+def _bracketed(
+    scene: Scene,
+    law: Law,
+    stretches: Stretch,
+    low: Place,
+    high: Place,
+    _expected: Place,
+    indicator: Int[np.ndarray, "k"],
+) -> tuple[Place, Bool[np.ndarray, "k"]]:
+    """The same by bracketing: each equilibrium in between is one step from the first place or,
+    without friction, from the one nearer to zero.
     """
     which = indicator[:, None, None]
-
-    def indicated(places: Place, row: Any = slice(None)) -> Float[np.ndarray, "j n"]:
-        return np.take_along_axis(places.indicators, which[row], axis=2)[..., 0]
-
-    ends = (jax.tree.map(lambda part: part[:, None], end) for end in (low, high))
-    before, after = (indicated(end)[:, 0] for end in ends)
+    before, after = (_indicated(end, indicator) for end in (low, high))
     # With friction a state depends on its history; a branch has no memory.
     start = either(law.branch & (np.abs(after) < np.abs(before)), high, low)
 
@@ -64,16 +162,17 @@ def located(
         fraction: Float[np.ndarray, "j n"], row: Int[np.ndarray, "j"]
     ) -> Float[np.ndarray, "j n"]:
         way, begin = chosen((stretches, start), row)
-        return indicated(stepped(scene, law, way, begin, fraction)[0], row)
+        places, _ = stepped(scene, law, way, begin, fraction)
+        return np.take_along_axis(places.indicators, which[row], axis=2)[..., 0]
 
     fraction = roots(value, (low.fraction, high.fraction), (before, after))
-    found = chosen(stepped(scene, law, stretches, start, fraction[:, None])[0], np.s_[:, 0])
-    # Where such a step does not converge, as next to a contact that jumps or when the rod comes to
-    # lie along a face, interpolate linearly between the ends.
-    share = before / np.where(before == after, 1.0, before - after)
-    sound = np.isfinite(found.reached.state.flat_rows).all(axis=1)
-    result: Place = either(sound, found, _between(low, high, share))
-    return result
+    places, residual = stepped(scene, law, stretches, start, fraction[:, None])
+    found: Place = chosen(places, np.s_[:, 0])
+    if not law.branch:
+        # With friction an indicator may jump across zero.
+        return found, np.isfinite(found.reached.state.flat_rows).all(axis=1)
+    left = np.maximum(residual[:, 0], np.abs(_indicated(found, indicator)))
+    return found, left <= RUBBING
 
 
 def _between(low: Place, high: Place, share: Float[np.ndarray, "k"]) -> Place:

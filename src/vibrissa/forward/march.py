@@ -6,6 +6,7 @@ Jacobian determinant, or has the free rod inside the object without a first cont
 marks that lane as lost; the sweep resolves the stretch, and the march resumes after it.
 """
 
+from collections.abc import Callable
 from enum import IntEnum
 from functools import partial
 from itertools import accumulate
@@ -95,6 +96,10 @@ _BETTER = 2.0
 """Factor by which a higher order has to do better: after a kink all orders do equally badly, and
 the highest overshoots most.
 """
+_KEPT = 0.05
+"""Slopes are kept for the next Newton step as long as one reduces the residual to this fraction:
+new ones gain three digits, but cost more than the step itself.
+"""
 RUBBING = 1e-11
 """Largest residual from which the next Newton step, converging quadratically, is the last with
 friction, where errors in what is passed on, computed before that step, add up; on a branch it is
@@ -150,53 +155,92 @@ def solved(
     from a residual within the tolerance is the last.
     """
 
-    def iterate(state: tuple[Solved, Array]) -> tuple[Solved, Array]:
-        found = once(scene, law, state[0].reached.state, clamp, before, side)
-        return found, state[1] + 1
+    def conditions(x: Unknowns, rod: RodModel, near: Scalar | None) -> tuple[Unknowns, Touching]:
+        own = scene._replace(rod=rod)
+        found = touching(own, law, State.of(x, rod.unknowns), clamp, before, side, near)
+        return found.residual, found
 
-    def unfinished(state: tuple[Solved, Array]) -> Array:
+    found = newton(scene.rod, law, conditions, guess.flat, tolerance, active=active)
+    reached = Reached(State.of(found.x, scene.rod.unknowns), found.arc_length, found.tangent)
+    figure = found.determinant if law.branch else found.beyond
+    return Solved(reached, found.residual, figure, found.phase)
+
+
+class Found(NamedTuple):
+    """Where Newton's method ended; everything but `x` is from before its last step."""
+
+    x: Unknowns
+    residual: Scalar
+    jacobian: Float[Array, "unknowns unknowns"]
+    determinant: Scalar
+    arc_length: Scalar
+    tangent: Float[Array, "3"]
+    phase: Scalar
+    beyond: Scalar
+
+
+def newton(
+    rod: RodModel,
+    law: Law,
+    conditions: Callable[[Unknowns, RodModel, Scalar | None], tuple[Unknowns, Touching]],
+    guess: Unknowns,
+    tolerance: Scalar | float,
+    *,
+    active: Bool[Any, ""] | bool = True,
+) -> Found:
+    """Newton's method for conditions on a rod, or on the one that gives slopes, near an arc length
+    if that is known; the step from a residual within the tolerance is the last.
+    """
+
+    def iterate(state: tuple[Found, Array]) -> tuple[Found, Array]:
+        return _once(rod, law, conditions, state[0]), state[1] + 1
+
+    def unfinished(state: tuple[Found, Array]) -> Array:
         return active & (state[0].residual > tolerance) & (state[1] < MOST_ITERATIONS[law.branch])
 
     nan = jnp.full((), jnp.nan)
-    start = Solved(Reached(guess, nan, jnp.full(3, jnp.nan)), jnp.full((), jnp.inf), nan, nan)
-    found: tuple[Solved, Array] = lax.while_loop(
+    blank = jnp.full((len(guess),) * 2, jnp.nan)
+    start = Found(guess, jnp.full((), jnp.inf), blank, nan, nan, jnp.full(3, jnp.nan), nan, nan)
+    found: tuple[Found, Array] = lax.while_loop(
         unfinished, iterate, (start, jnp.zeros((), dtype=int))
     )
     return found[0]
 
 
-def once(
-    scene: Scene,
+def _once(
+    rod: RodModel,
     law: Law,
-    state: State,
-    clamp: Clamp,
-    before: Reached | None,
-    side: Float[Any, "3"] | None,
-) -> Solved:
-    """One Newton step; everything but the state is from before the step."""
-    rod, rough = scene.rod, scene.rod.slopes_of
+    conditions: Callable[[Unknowns, RodModel, Scalar | None], tuple[Unknowns, Touching]],
+    last: Found,
+) -> Found:
+    """One Newton step from where the last one led."""
 
-    def found_at(x: Unknowns, rod: RodModel, near: Scalar | None = None) -> Touching:
-        own = scene._replace(rod=rod)
-        return touching(own, law, State.of(x, rod.unknowns), clamp, before, side, near)
+    def values(x: Unknowns) -> tuple[Unknowns, tuple[Any, ...]]:
+        residual, found = conditions(x, rod, None)
+        told = found.bent.arc_length, found.tangent, found.phase, found.beyond
+        return residual, (*told, jnp.max(jnp.abs(residual)))
 
-    def conditions(x: Unknowns) -> tuple[Unknowns, tuple[Any, ...]]:
-        found = found_at(x, rod)
-        return found.residual, (found.bent.arc_length, found.tangent, found.phase, found.beyond)
+    def roughly(x: Unknowns, near: Scalar | None) -> Unknowns:
+        assert rod.slopes_of is not None
+        return conditions(x, rod.slopes_of, near)[0]
 
     def slopes(x: Unknowns, told: tuple[Any, ...]) -> Float[Array, "unknowns unknowns"]:
-        assert rough is not None
-        if law.branch:
-            return differences(lambda x: found_at(x, rough, told[0]).residual, x)
-        # Friction has corners, and at some of them contacts begin.
-        return jax.jacfwd(lambda x: found_at(x, rough).residual)(x)
+        if not law.branch:
+            # Friction has corners, and at some of them contacts begin.
+            return jax.jacfwd(lambda x: roughly(x, None))(x)
+        arc_length, residual = told[0], told[-1]
+        kept = jnp.isfinite(last.residual) & (residual < _KEPT * last.residual)
+        jacobian: Array = lax.cond(
+            kept,
+            lambda _: last.jacobian,
+            lambda x: differences(lambda x: roughly(x, arc_length), x),
+            x,
+        )
+        return jacobian
 
-    step, (arc_length, tangent, phase, beyond) = step_from(
-        conditions, state.flat, slopes=None if rough is None else slopes
-    )
-    figure = step.determinant if law.branch else beyond
-    reached = Reached(State.of(step.x, scene.rod.unknowns), arc_length, tangent)
-    return Solved(reached, step.residual, figure, phase)
+    exact = rod.slopes_of is None
+    step, (*told, _) = step_from(values, last.x, slopes=None if exact else slopes)
+    return Found(step.x, step.residual, step.jacobian, step.determinant, *told)
 
 
 def nowhere(scene: Scene, law: Law, *shape: int, fill: float = np.nan) -> Reached:

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from vibrissa.geometry.checks import finite, not_negative, positive
+from vibrissa.numerics.compiled import compiled
 from vibrissa.rod.beam import first_frequency, sag
 from vibrissa.rod.centre_line import check_free
 from vibrissa.rod.dimensions import round_section, round_table, stiffness_table, taper_between
@@ -53,6 +54,12 @@ _PARTS: dict[str, type] = {
     "support": Support,
     "thermal": Thermal,
 }
+
+
+@compiled
+def _curvature(rest: RestShape, s: Float[Any, "n"]) -> Float[Any, "n 3"]:
+    # Compiling each of its operations by itself would take half a second.
+    return rest.at(s)
 
 
 @tree("units")
@@ -186,7 +193,7 @@ class Rod(Described):
     def _check_rest(self, rest: RestShape) -> None:
         length = float(self.length)
         rest.check(length)
-        check_free(lambda s: np.asarray(rest.at(s)), length, float(self.radius or 0.0))
+        check_free(lambda s: np.asarray(_curvature(rest, s)), length, float(self.radius or 0.0))
 
     @classmethod
     def unit(cls) -> "Rod":

@@ -74,6 +74,39 @@ def test_an_upright_wire_falls_over_from_its_critical_weight_on(ratio: float) ->
     assert np.all(scan.status == expected)
 
 
+@pytest.mark.parametrize("angle", [30.0, 90.0, 170.0])
+@pytest.mark.parametrize("ratio", [30.0, 60.0, 88.0])
+def test_a_wire_as_soft_as_a_rope_hangs(ratio: float, angle: float) -> None:
+    """At an angle of the clamp to the weight: EI ψ'' = w s sin ψ from the free tip, where ψ is the
+    angle to the weight; the least turned tip is the shape that the wire takes as the weight grows.
+    """
+
+    def bent(tip: float) -> np.ndarray:
+        return solve_ivp(
+            lambda s, at: [at[1], ratio * s * np.sin(at[0])],
+            (0, 1),
+            [tip, 0],
+            "DOP853",
+            rtol=1e-12,
+            atol=1e-16,
+        ).y[:, -1]
+
+    tips = np.geomspace(1e-6, np.pi / 2, 400)
+    left = np.array([bent(tip)[0] for tip in tips]) - np.radians(angle)
+    place = np.flatnonzero((left[:-1] < 0) & (left[1:] >= 0))[0]
+    tip = brentq(
+        lambda tip: bent(tip)[0] - np.radians(angle), tips[place], tips[place + 1], xtol=1e-16
+    )
+    stiffness, mass = WIRE.bending_stiffness, DENSITY * np.pi * RADIUS**2
+    down = np.array([np.sin(np.radians(angle)), 0, np.cos(np.radians(angle))])
+    gravity = ratio * stiffness / LENGTH**3 / mass * down
+    rod = WIRE.loaded(vb.Loads(gravity=tuple(gravity), wind=NONE))
+    scan = vb.scan(rod, FAR, vb.Trail.line(start=(0, 0, 0), stop=(0, 1e-4, 0), count=2))
+    assert np.all(scan.status == vb.Status.OK)
+    moment = np.linalg.norm(scan.reactions.moment[0])
+    assert moment == pytest.approx(bent(tip)[1] * stiffness / LENGTH, rel=1e-6)
+
+
 def test_an_offset_of_the_object_is_the_same_for_every_rod() -> None:
     """A ball of 28 mm grown by 2 mm is one of 30 mm, also for a rod that tapers."""
     rod = vb.Rod.tapered(

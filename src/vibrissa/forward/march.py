@@ -96,9 +96,9 @@ _BETTER = 2.0
 """Factor by which a higher order has to do better: after a kink all orders do equally badly, and
 the highest overshoots most.
 """
-_KEPT = 0.05
-"""Slopes are kept for the next Newton step as long as one reduces the residual to this fraction:
-new ones gain three digits, but cost more than the step itself.
+_NEARBY, _KEPT = 1e-4, 0.05
+"""Residual from which on slopes serve for the next Newton step too, as long as one reduces the
+residual to that fraction: new ones gain three digits, but cost more than the step itself.
 """
 RUBBING = 1e-11
 """Largest residual from which the next Newton step, converging quadratically, is the last with
@@ -229,7 +229,7 @@ def _once(
             # Friction has corners, and at some of them contacts begin.
             return jax.jacfwd(lambda x: roughly(x, None))(x)
         arc_length, residual = told[0], told[-1]
-        kept = jnp.isfinite(last.residual) & (residual < _KEPT * last.residual)
+        kept = (last.residual < _NEARBY) & (residual < _KEPT * last.residual)
         jacobian: Array = lax.cond(
             kept,
             lambda _: last.jacobian,

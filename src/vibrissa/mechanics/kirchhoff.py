@@ -91,7 +91,12 @@ kept, that ends them, and up to which resultants count as found.
 _HARDLY_BENT = 0.5
 """Largest elastic curvature [1/L] of a rod on which the moments at tip and clamp are alike."""
 _LARGEST_CHANGE = 2.0
-"""Of the resultants in one such step [EI/L²]: a rod as soft as a rope still finds its shape."""
+"""Of the resultants in one such step [EI/L²]."""
+_LOAD_SHARE, _LARGEST_LOAD = 8.0, 90.0
+"""By how much loads [EI/L²] grow at a time from none, so that a rod as soft as a rope finds the
+shape that it takes on its own; and up to which it does (measured: from 100 on, rods that are
+clamped upright may end up curled).
+"""
 _ROUNDING = 1e-9
 """By which a contact at the tip may seem to lie before it [L]."""
 _AT_TIP = 1e-14
@@ -124,6 +129,34 @@ class Load(eqx.Module):
     @abstractmethod
     def per_length(self, s: Scalar, position: Vector, tangent: Vector, section: Any) -> Vector:
         """At an arc length and a position [L]; `section` holds whatever varies along the rod."""
+
+
+class _Balance(NamedTuple):
+    """Unknowns under a share of the load, the last step's Jacobian and size, how many steps there
+    were, and which share it is.
+    """
+
+    x: Array
+    jacobian: Array
+    size: Scalar
+    steps: Array
+    given: Array
+
+
+class _Share(Load):
+    """A share of another load."""
+
+    whole: Load
+    share: Scalar
+
+    @property
+    def alike_everywhere(self) -> bool:
+        """As in `Load`."""
+        return self.whole.alike_everywhere
+
+    def per_length(self, s: Scalar, position: Vector, tangent: Vector, section: Any) -> Vector:
+        """As in `Load`."""
+        return self.share * self.whole.per_length(s, position, tangent, section)
 
 
 class Push(NamedTuple):
@@ -493,41 +526,48 @@ class Kirchhoff(RodModel):
 
     @staticmethod
     def _balanced(
-        left: Callable[[Array], Array],
+        left: Callable[[Array, Any], Array],
         begin: Array,
         seen_at: Callable[[Array], Array] = lambda unknowns: unknowns,
+        shares: Any = 1,
     ) -> tuple[Array, Bool[Array, ""]]:
-        """Unknowns that leave nothing, by Newton's method from given ones, and whether they were
-        found; with derivatives with respect to whatever `left` closes over, taken at `seen_at` of
-        them, which differs from them by rounding.
+        """Unknowns that leave nothing under the whole load, by Newton's method from given ones, as
+        the load grows from nothing in so many equal shares; and whether they were found. With
+        derivatives with respect to whatever `left` closes over, taken at `seen_at` of the unknowns,
+        which differs from them by rounding.
         """
 
-        def solve(left: Callable[[Array], Array], begin: Array) -> tuple[Array, Scalar]:
-            slopes = jax.jacfwd(lambda x: (left(x),) * 2, has_aux=True)
+        def solve(_: Callable[[Array], Array], begin: Array) -> tuple[Array, Scalar]:
+            slopes = jax.jacfwd(lambda x, share: (left(x, share),) * 2, has_aux=True)
 
-            def unfinished(state: tuple[Array, Array, Scalar, Array]) -> Array:
-                return (state[2] > _LOAD_SETTLED) & (state[3] < _LOAD_STEPS)
+            def unfinished(at: _Balance) -> Array:
+                return ((at.size > _LOAD_SETTLED) | (at.given < shares)) & (at.steps < _LOAD_STEPS)
 
-            def refine(
-                state: tuple[Array, Array, Scalar, Array],
-            ) -> tuple[Array, Array, Scalar, Array]:
-                x, jacobian, size, count = state
+            def refine(at: _Balance) -> _Balance:
+                more = (at.size < _LOAD_NEAR) & (at.given < shares)
+                given = at.given + more
                 jacobian, value = lax.cond(
-                    size > _LOAD_NEAR, slopes, lambda x: (jacobian, left(x)), x
+                    (at.size > _LOAD_NEAR) | more,
+                    slopes,
+                    lambda x, share: (at.jacobian, left(x, share)),
+                    at.x,
+                    given / shares,
                 )
                 change, _ = solve_pivoted(jacobian, value)
                 size = jnp.max(jnp.abs(change))
-                share = jnp.minimum(1.0, _LARGEST_CHANGE / jnp.maximum(size, _TINY))
-                return x - share * change, jacobian, size, count + 1
+                part = jnp.minimum(1.0, _LARGEST_CHANGE / jnp.maximum(size, _TINY))
+                steps = jnp.where(more, 1, at.steps + 1)
+                return _Balance(at.x - part * change, jacobian, size, steps, given)
 
-            blank = jnp.zeros((len(begin),) * 2), jnp.asarray(jnp.inf), jnp.zeros((), dtype=int)
-            found, _, size, _ = lax.while_loop(unfinished, refine, (begin, *blank))
-            return seen_at(found), size
+            jacobian, none = jnp.zeros((len(begin),) * 2), jnp.zeros((), dtype=int)
+            start = _Balance(begin, jacobian, jnp.asarray(jnp.inf), none, none + 1)
+            last = lax.while_loop(unfinished, refine, start)
+            return seen_at(last.x), last.size
 
         def tangent(linear: Callable[[Array], Array], right: Array) -> Array:
             return solve_pivoted(jax.jacfwd(linear)(jnp.zeros_like(right)), right)[0]
 
-        found, size = lax.custom_root(left, begin, solve, tangent, has_aux=True)
+        found, size = lax.custom_root(lambda x: left(x, 1.0), begin, solve, tangent, has_aux=True)
         return found, size < _LOAD_FOUND
 
     @property
@@ -545,17 +585,36 @@ class Kirchhoff(RodModel):
         return Hanging(clamp, self.line(clamp, _NO_PUSH, load), load, resting.sound)
 
     def _hanging(self, clamp: Clamp) -> Hanging:
-        def at_tip(load: Wrench, given: tuple[Kirchhoff, Clamp]) -> State:
-            states = given[0].line(given[1], _NO_PUSH, load).states
-            return jax.tree.map(lambda rows: rows[-1], states)
+        def under(load: Wrench, given: tuple[Kirchhoff, Clamp], share: Any = 1.0) -> Line:
+            rod, clamp = given
+            assert rod.load is not None
+            rod = replace(rod, load=_Share(rod.load, jnp.asarray(share)))
+            return rod.line(clamp, _NO_PUSH, load)
+
+        def at_tip(load: Wrench, given: tuple[Kirchhoff, Clamp], share: Any = 1.0) -> State:
+            return jax.tree.map(lambda rows: rows[-1], under(load, given, share).states)
 
         given = self, clamp
-        load, found = self._balanced(lambda load: at_tip(load, given).load, jnp.zeros(6))
-        line = self.line(clamp, _NO_PUSH, load)
+        load, found = self._balanced(
+            lambda load, share: at_tip(load, given, share).load,
+            jnp.zeros(6),
+            shares=self._shares(clamp),
+        )
+        found &= dot(load[:3], load[:3]) < _LARGEST_LOAD**2
+        line = under(load, given)
         slopes = jax.jacfwd(at_tip)(*lax.stop_gradient((load, given)))
         strain = jnp.max(self._strain(line, _NO_PUSH))
         stands = _stands(slopes.load, slopes.tangent, line.tangent[-1], strain)
         return Hanging(clamp, line, load, found & stands)
+
+    def _shares(self, clamp: Clamp) -> Int[Array, ""]:
+        """In how many shares the load is to grow, from what it is at the clamp."""
+        assert self.load is not None
+        section = jax.tree.map(lambda part: part[0, 0], self.local.loaded)
+        q = self.load.per_length(jnp.zeros(()), clamp.point, clamp.tangent, section)
+        count = jnp.ceil(jnp.sqrt(dot(q, q)) / _LOAD_SHARE)
+        count = jnp.clip(count, 1, math.ceil(_LARGEST_LOAD / _LOAD_SHARE))
+        return lax.stop_gradient(count.astype(int))
 
     def bent(
         self,
@@ -764,7 +823,7 @@ class Kirchhoff(RodModel):
             moment = push.moment - jnp.cross(here.reach, push.force) + here.load[3:] - tail[3:]
             return here, force, moment, self._rest(inner, s, here._replace(load=tail))
 
-        def left(unknowns: Float[Array, "7"]) -> Float[Array, "7"]:
+        def left(unknowns: Float[Array, "7"], _share: Any) -> Float[Array, "7"]:
             here, force, moment, rest = parts(unknowns)
             lever = -dot(jnp.cross(here.tangent, force), moment) / dot(force, force)
             return joined(lever, rest.states.load[-1])

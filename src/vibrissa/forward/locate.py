@@ -95,7 +95,8 @@ def _crossed(
     indicator: Int[np.ndarray, "k"],
 ) -> tuple[Place, Bool[np.ndarray, "k"]]:
     """Roots of the conditions of contact and the indicator, near where they are expected; and which
-    are sound: converged, between the places, and no further from there than these are apart.
+    are sound: converged, between the places, and no further from there than these are apart. Their
+    figures and phases are those expected.
     """
     side = low.reached.state.point - stretches.at(low.fraction[:, None]).point
     start = expected.reached.state, expected.fraction

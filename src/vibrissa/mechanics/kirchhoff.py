@@ -18,7 +18,6 @@ derivatives on both sides.
 """
 
 import math
-from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -29,9 +28,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from vibrissa.geometry.checks import positive
+from vibrissa.mechanics.hanging import LARGEST_LOAD, Load, Share, balanced, shares_of, stands
 from vibrissa.mechanics.line import Line, State, across_of, closest, most_zeros, zero
 from vibrissa.mechanics.model import (
     AT_ORIGIN,
@@ -55,7 +55,6 @@ from vibrissa.mechanics.section import (
     halved,
     stage_of,
 )
-from vibrissa.numerics.linear import solve_pivoted
 from vibrissa.numerics.rotation import turned
 from vibrissa.numerics.runge_kutta import ORDER_5, ORDER_8, Scheme, error_of_order_8, stepped
 from vibrissa.numerics.vectors import dot, joined
@@ -84,19 +83,6 @@ that the force rolls up has up to five.
 """
 _FULL_TURN = 2 * math.pi
 """By which bending turns a rod that meets itself."""
-_LOAD_STEPS, _LOAD_NEAR, _LOAD_SETTLED, _LOAD_FOUND = 25, 1e-3, 1e-13, 1e-8
-"""Most Newton steps to the loads' resultants, and sizes [EI/L²] of a step: from which on slopes are
-kept, that ends them, and up to which resultants count as found.
-"""
-_HARDLY_BENT = 0.5
-"""Largest elastic curvature [1/L] of a rod on which the moments at tip and clamp are alike."""
-_LARGEST_CHANGE = 2.0
-"""Of the resultants in one such step [EI/L²]."""
-_LOAD_SHARE, _LARGEST_LOAD = 8.0, 90.0
-"""By how much loads [EI/L²] grow at a time from none, so that a rod as soft as a rope finds the
-shape that it takes on its own; and up to which it does (measured: from 100 on, rods that are
-clamped upright may end up curled).
-"""
 _ROUNDING = 1e-9
 """By which a contact at the tip may seem to lie before it [L]."""
 _AT_TIP = 1e-14
@@ -116,47 +102,6 @@ def steps_for(accuracy: float) -> int:
         If the accuracy is not a positive number.
     """
     return math.ceil(STEPS * (ACCURACY / positive(accuracy, "accuracy")) ** (1 / _ORDER))
-
-
-class Load(eqx.Module):
-    """Force per length on the rod [EI/L³], world axes."""
-
-    @property
-    @abstractmethod
-    def alike_everywhere(self) -> bool:
-        """Whether it does not depend on the position."""
-
-    @abstractmethod
-    def per_length(self, s: Scalar, position: Vector, tangent: Vector, section: Any) -> Vector:
-        """At an arc length and a position [L]; `section` holds whatever varies along the rod."""
-
-
-class _Balance(NamedTuple):
-    """Unknowns under a share of the load, the last step's Jacobian and size, how many steps there
-    were, and which share it is.
-    """
-
-    x: Array
-    jacobian: Array
-    size: Scalar
-    steps: Array
-    given: Array
-
-
-class _Share(Load):
-    """A share of another load."""
-
-    whole: Load
-    share: Scalar
-
-    @property
-    def alike_everywhere(self) -> bool:
-        """As in `Load`."""
-        return self.whole.alike_everywhere
-
-    def per_length(self, s: Scalar, position: Vector, tangent: Vector, section: Any) -> Vector:
-        """As in `Load`."""
-        return self.share * self.whole.per_length(s, position, tangent, section)
 
 
 class Push(NamedTuple):
@@ -524,52 +469,6 @@ class Kirchhoff(RodModel):
         shape = whole.own_shape
         return shape.carried(whole._at(Inner(shape, AT_ORIGIN, _NO_PUSH), s), here)
 
-    @staticmethod
-    def _balanced(
-        left: Callable[[Array, Any], Array],
-        begin: Array,
-        seen_at: Callable[[Array], Array] = lambda unknowns: unknowns,
-        shares: Any = 1,
-    ) -> tuple[Array, Bool[Array, ""]]:
-        """Unknowns that leave nothing under the whole load, by Newton's method from given ones, as
-        the load grows from nothing in so many equal shares; and whether they were found. With
-        derivatives with respect to whatever `left` closes over, taken at `seen_at` of the unknowns,
-        which differs from them by rounding.
-        """
-
-        def solve(_: Callable[[Array], Array], begin: Array) -> tuple[Array, Scalar]:
-            slopes = jax.jacfwd(lambda x, share: (left(x, share),) * 2, has_aux=True)
-
-            def unfinished(at: _Balance) -> Array:
-                return ((at.size > _LOAD_SETTLED) | (at.given < shares)) & (at.steps < _LOAD_STEPS)
-
-            def refine(at: _Balance) -> _Balance:
-                more = (at.size < _LOAD_NEAR) & (at.given < shares)
-                given = at.given + more
-                jacobian, value = lax.cond(
-                    (at.size > _LOAD_NEAR) | more,
-                    slopes,
-                    lambda x, share: (at.jacobian, left(x, share)),
-                    at.x,
-                    given / shares,
-                )
-                change, _ = solve_pivoted(jacobian, value)
-                size = jnp.max(jnp.abs(change))
-                part = jnp.minimum(1.0, _LARGEST_CHANGE / jnp.maximum(size, _TINY))
-                steps = jnp.where(more, 1, at.steps + 1)
-                return _Balance(at.x - part * change, jacobian, size, steps, given)
-
-            jacobian, none = jnp.zeros((len(begin),) * 2), jnp.zeros((), dtype=int)
-            start = _Balance(begin, jacobian, jnp.asarray(jnp.inf), none, none + 1)
-            last = lax.while_loop(unfinished, refine, start)
-            return seen_at(last.x), last.size
-
-        def tangent(linear: Callable[[Array], Array], right: Array) -> Array:
-            return solve_pivoted(jax.jacfwd(linear)(jnp.zeros_like(right)), right)[0]
-
-        found, size = lax.custom_root(lambda x: left(x, 1.0), begin, solve, tangent, has_aux=True)
-        return found, size < _LOAD_FOUND
-
     @property
     def own_shape(self) -> Line:
         """The rod that nothing loads, seen from its clamp."""
@@ -588,33 +487,27 @@ class Kirchhoff(RodModel):
         def under(load: Wrench, given: tuple[Kirchhoff, Clamp], share: Any = 1.0) -> Line:
             rod, clamp = given
             assert rod.load is not None
-            rod = replace(rod, load=_Share(rod.load, jnp.asarray(share)))
+            rod = replace(rod, load=Share(rod.load, jnp.asarray(share)))
             return rod.line(clamp, _NO_PUSH, load)
 
         def at_tip(load: Wrench, given: tuple[Kirchhoff, Clamp], share: Any = 1.0) -> State:
             return jax.tree.map(lambda rows: rows[-1], under(load, given, share).states)
 
         given = self, clamp
-        load, found = self._balanced(
+        assert self.load is not None
+        section = jax.tree.map(lambda part: part[0, 0], self.local.loaded)
+        first = self.load.per_length(jnp.zeros(()), clamp.point, clamp.tangent, section)
+        load, found = balanced(
             lambda load, share: at_tip(load, given, share).load,
             jnp.zeros(6),
-            shares=self._shares(clamp),
+            shares=lax.stop_gradient(shares_of(first)),
         )
-        found &= dot(load[:3], load[:3]) < _LARGEST_LOAD**2
+        found &= dot(load[:3], load[:3]) < LARGEST_LOAD**2
         line = under(load, given)
         slopes = jax.jacfwd(at_tip)(*lax.stop_gradient((load, given)))
         strain = jnp.max(self._strain(line, _NO_PUSH))
-        stands = _stands(slopes.load, slopes.tangent, line.tangent[-1], strain)
-        return Hanging(clamp, line, load, found & stands)
-
-    def _shares(self, clamp: Clamp) -> Int[Array, ""]:
-        """In how many shares the load is to grow, from what it is at the clamp."""
-        assert self.load is not None
-        section = jax.tree.map(lambda part: part[0, 0], self.local.loaded)
-        q = self.load.per_length(jnp.zeros(()), clamp.point, clamp.tangent, section)
-        count = jnp.ceil(jnp.sqrt(dot(q, q)) / _LOAD_SHARE)
-        count = jnp.clip(count, 1, math.ceil(_LARGEST_LOAD / _LOAD_SHARE))
-        return lax.stop_gradient(count.astype(int))
+        stable = stands(slopes.load, slopes.tangent, line.tangent[-1], strain)
+        return Hanging(clamp, line, load, found & stable)
 
     def bent(
         self,
@@ -833,7 +726,7 @@ class Kirchhoff(RodModel):
             place, _, x = line.between(begin)
             tail = own[place] + x * (own[place + 1] - own[place])
             begin = lax.stop_gradient(joined(begin, tail))
-            unknowns, _ = self._balanced(left, begin, _before_tip)
+            unknowns, _ = balanced(left, begin, _before_tip)
             here, force, moment, rest = parts(unknowns)
             f, reach = jnp.sqrt(dot(force, force)), here.reach
             total = joined(-push.force, -push.moment)
@@ -863,27 +756,3 @@ def _before_tip(unknowns: Float[Array, "7"]) -> Float[Array, "7"]:
     s = unknowns[0]
     at_tip = jnp.abs(s - 1.0) < _AT_TIP
     return joined(jnp.where(at_tip, 1.0 - _AT_TIP, s), unknowns[1:])
-
-
-def _stands(
-    by_load: Float[Array, "6 6"], turn: Float[Array, "3 6"], tangent: Vector, strain: Scalar
-) -> Bool[Array, ""]:
-    """Whether a rod without contact is stable: whether small moments across its tip turn it their
-    own way. Given are the derivatives of force and moment at the tip, and of its tangent, with
-    respect to force and moment at the clamp.
-
-    Under more than its second critical load an upright column answers in that way again; but while
-    the rod is hardly bent, its clamp then has to hold against the moment's sense.
-    """
-    none = jnp.zeros(3)
-    across = across_of(tangent)
-    moments = across, jnp.cross(tangent, across)
-    at_clamp = [solve_pivoted(by_load, joined(none, moment))[0] for moment in moments]
-
-    def positive(answers: list[Vector]) -> Bool[Array, ""]:
-        (a, b), (c, d) = ([dot(moment, answer) for answer in answers] for moment in moments)
-        return (a > 0) & (a * d > ((b + c) / 2) ** 2)
-
-    turns = [jnp.cross(tangent, turn @ answer) for answer in at_clamp]
-    hardly = strain < _HARDLY_BENT
-    return positive(turns) & (positive([answer[3:] for answer in at_clamp]) | ~hardly)

@@ -9,7 +9,8 @@ from jax import Array
 from jaxtyping import Float
 
 from vibrissa.mechanics.elastica import Elastica
-from vibrissa.mechanics.kirchhoff import STEPS, Kirchhoff, Load
+from vibrissa.mechanics.hanging import Load
+from vibrissa.mechanics.kirchhoff import STEPS, Kirchhoff
 from vibrissa.mechanics.model import RodModel
 from vibrissa.numerics.compiled import compiled
 from vibrissa.rod import Rod
@@ -40,12 +41,12 @@ class _Load(Load):
 
     @property
     def alike_everywhere(self) -> bool:
-        """As in `vibrissa.mechanics.kirchhoff.Load`."""
+        """As in `vibrissa.mechanics.hanging.Load`."""
         alike: bool = self.loads.alike_everywhere
         return alike
 
     def per_length(self, s: Any, position: Vector, tangent: Vector, section: Any) -> Vector:
-        """As in `vibrissa.mechanics.kirchhoff.Load`."""
+        """As in `vibrissa.mechanics.hanging.Load`."""
         density, radius = section
         force: Float[Array, "3"] = self.loads.per_length(
             s * self.length,

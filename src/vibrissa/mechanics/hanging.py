@@ -2,7 +2,6 @@
 whether the rod stands.
 """
 
-import math
 from abc import abstractmethod
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -11,7 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from vibrissa.mechanics.line import across_of
 from vibrissa.numerics.linear import solve_pivoted
@@ -19,19 +18,25 @@ from vibrissa.numerics.vectors import dot, joined
 
 Scalar = Float[Any, ""]
 Vector = Float[Any, "3"]
+Wrench = Float[Any, "6"]
 
-_LOAD_STEPS, _LOAD_NEAR, _LOAD_SETTLED, _LOAD_FOUND = 25, 1e-3, 1e-13, 1e-8
+_STEPS, _NEAR, _SETTLED, _FOUND = 25, 1e-3, 1e-13, 1e-8
 """Most Newton steps to the loads' resultants, and sizes [EI/L²] of a step: from which on slopes are
 kept, that ends them, and up to which resultants count as found.
 """
 _HARDLY_BENT = 0.5
 """Largest elastic curvature [1/L] of a rod on which the moments at tip and clamp are alike."""
-_LARGEST_CHANGE = 2.0
-"""Of the resultants in one such step [EI/L²]."""
-_LOAD_SHARE, LARGEST_LOAD = 8.0, 90.0
-"""By how much loads [EI/L²] grow at a time from none, so that a rod as soft as a rope finds the
-shape that it takes on its own; and up to which it does (measured: from 100 on, rods that are
-clamped upright may end up curled).
+_LONGEST_STEP = 2.0
+"""Change of the resultants [EI/L²] in one such step."""
+_LARGEST_CHANGE, _FEW_STEPS = 0.5, 8
+"""Change of the resultants [EI/L²] and Newton steps beyond which a share of the load is halved: at
+twice the change, rods that are clamped nearly upright fall to the wrong side.
+"""
+_LEAST_SHARE, _MOST_TRIED = 1e-6, 2000
+"""Share of the load below which none is tried, and most steps in all."""
+_LARGEST_LOAD = 90.0
+"""Force at the clamp [EI/L²] up to which a rod's shape is found: derivatives at the tip with
+respect to the clamp grow as the exponential of its square root.
 """
 _TINY = 1e-300
 
@@ -65,73 +70,151 @@ class Share(Load):
         return self.share * self.whole.per_length(s, position, tangent, section)
 
 
-def shares_of(load: Vector) -> Int[Array, ""]:
-    """In how many shares a load per length (3,) [EI/L³] is to grow."""
-    count = jnp.ceil(jnp.sqrt(dot(load, load)) / _LOAD_SHARE)
-    return jnp.clip(count, 1, math.ceil(LARGEST_LOAD / _LOAD_SHARE)).astype(int)
-
-
-class _Balance(NamedTuple):
-    """Unknowns under a share of the load, the last step's Jacobian and size, how many steps there
-    were, and which share it is.
-    """
-
-    x: Array
-    jacobian: Array
-    size: Scalar
-    steps: Array
-    given: Array
-
-
 def balanced(
-    left: Callable[[Array, Any], Array],
+    left: Callable[[Array], Array],
     begin: Array,
-    seen_at: Callable[[Array], Array] = lambda unknowns: unknowns,
-    shares: Any = 1,
-) -> tuple[Array, Bool[Array, ""]]:
-    """Unknowns that leave nothing under the whole load, by Newton's method from given ones, as
-    the load grows from nothing in so many equal shares; and whether they were found. With
-    derivatives with respect to whatever `left` closes over, taken at `seen_at` of the unknowns,
-    which differs from them by rounding.
+    seen_at: Callable[[Array], Array],
+) -> Array:
+    """Unknowns that leave nothing, by Newton's method from given ones; with derivatives with
+    respect to whatever `left` closes over, taken at `seen_at` of the unknowns, which differs from
+    them by rounding.
     """
 
-    def solve(_: Callable[[Array], Array], begin: Array) -> tuple[Array, Scalar]:
-        slopes = jax.jacfwd(lambda x, share: (left(x, share),) * 2, has_aux=True)
+    def solve(left: Callable[[Array], Array], begin: Array) -> Array:
+        slopes = jax.jacfwd(lambda x: (left(x),) * 2, has_aux=True)
 
-        def unfinished(at: _Balance) -> Array:
-            return ((at.size > _LOAD_SETTLED) | (at.given < shares)) & (at.steps < _LOAD_STEPS)
+        def unfinished(state: tuple[Array, Array, Scalar, Array]) -> Array:
+            return (state[2] > _SETTLED) & (state[3] < _STEPS)
 
-        def refine(at: _Balance) -> _Balance:
-            more = (at.size < _LOAD_NEAR) & (at.given < shares)
-            given = at.given + more
-            jacobian, value = lax.cond(
-                (at.size > _LOAD_NEAR) | more,
-                slopes,
-                lambda x, share: (at.jacobian, left(x, share)),
-                at.x,
-                given / shares,
-            )
+        def refine(state: tuple[Array, Array, Scalar, Array]) -> tuple[Array, Array, Scalar, Array]:
+            x, jacobian, size, count = state
+            jacobian, value = lax.cond(size > _NEAR, slopes, lambda x: (jacobian, left(x)), x)
             change, _ = solve_pivoted(jacobian, value)
             size = jnp.max(jnp.abs(change))
-            part = jnp.minimum(1.0, _LARGEST_CHANGE / jnp.maximum(size, _TINY))
-            steps = jnp.where(more, 1, at.steps + 1)
-            return _Balance(at.x - part * change, jacobian, size, steps, given)
+            share = jnp.minimum(1.0, _LONGEST_STEP / jnp.maximum(size, _TINY))
+            return x - share * change, jacobian, size, count + 1
 
-        jacobian, none = jnp.zeros((len(begin),) * 2), jnp.zeros((), dtype=int)
-        start = _Balance(begin, jacobian, jnp.asarray(jnp.inf), none, none + 1)
-        last = lax.while_loop(unfinished, refine, start)
-        return seen_at(last.x), last.size
+        blank = jnp.zeros((len(begin),) * 2), jnp.asarray(jnp.inf), jnp.zeros((), dtype=int)
+        found, *_ = lax.while_loop(unfinished, refine, (begin, *blank))
+        return seen_at(found)
 
-    def tangent(linear: Callable[[Array], Array], right: Array) -> Array:
-        return solve_pivoted(jax.jacfwd(linear)(jnp.zeros_like(right)), right)[0]
-
-    found, size = lax.custom_root(lambda x: left(x, 1.0), begin, solve, tangent, has_aux=True)
-    return found, size < _LOAD_FOUND
+    found: Array = lax.custom_root(left, begin, solve, _tangent)
+    return found
 
 
-def stands(
-    by_load: Float[Array, "6 6"], turn: Float[Array, "3 6"], tangent: Vector, strain: Scalar
-) -> Bool[Array, ""]:
+def _tangent(linear: Callable[[Array], Array], right: Array) -> Array:
+    return solve_pivoted(jax.jacfwd(linear)(jnp.zeros_like(right)), right)[0]
+
+
+class Tip(NamedTuple):
+    """What a rod under resultants at its clamp leaves at its tip."""
+
+    load: Wrench
+    tangent: Vector
+
+
+class _Growth(NamedTuple):
+    """Resultants under a share of the load."""
+
+    x: Wrench
+    before: Wrench
+    """Under the last share that was settled."""
+    given: Scalar
+    """That share."""
+    more: Scalar
+    slopes: Tip
+    """Derivatives with respect to the resultants."""
+    tangent: Vector
+    strain: Scalar
+    size: Scalar
+    """Of the last step."""
+    steps: Array
+    """Under this share."""
+    tried: Array
+    stood: Bool[Array, ""]
+    """So far."""
+
+
+def grown(
+    at_tip: Callable[[Wrench, Any], tuple[Tip, Scalar]],
+) -> tuple[Wrench, Bool[Array, ""]]:
+    """Resultants at the clamp that leave nothing at the tip, as the load grows from nothing, and
+    whether the rod finds them and stands all the way; `at_tip` also returns the largest elastic
+    curvature.
+
+    A share of the load is halved where it changes the resultants much or takes many steps.
+    """
+
+    def evaluated(x: Wrench, share: Scalar) -> tuple[Tip, tuple[Tip, Scalar]]:
+        tip, strain = at_tip(x, share)
+        return tip, (tip, strain)
+
+    def refine(at: _Growth) -> _Growth:
+        share = at.given + at.more
+        slopes, (tip, strain) = lax.cond(
+            at.size > _NEAR,
+            jax.jacfwd(evaluated, has_aux=True),
+            lambda x, share: (at.slopes, at_tip(x, share)),
+            at.x,
+            share,
+        )
+        change, _ = solve_pivoted(slopes.load, tip.load)
+        x, size = at.x - change, jnp.max(jnp.abs(change))
+        far = ~(jnp.max(jnp.abs(x - at.before)) < _LARGEST_CHANGE) | (at.steps > _FEW_STEPS)
+        done = ~far & (size < _NEAR) & (share < 1)
+        stood = at.stood & (~done | stands(slopes, tip.tangent, strain))
+        more = jnp.where(far, at.more / 2, jnp.where(done, 2 * at.more, at.more))
+        given = jnp.where(done, share, at.given)
+        before = jnp.where(done, x, at.before)
+        return _Growth(
+            jnp.where(far, at.before, x),
+            before,
+            given,
+            jnp.minimum(more, 1 - given),
+            slopes,
+            tip.tangent,
+            strain,
+            jnp.where(far | done, jnp.inf, size),
+            jnp.where(far | done, 0, at.steps + 1),
+            at.tried + 1,
+            stood,
+        )
+
+    def unfinished(at: _Growth) -> Array:
+        going = at.stood & (at.tried < _MOST_TRIED) & (at.more > _LEAST_SHARE)
+        return going & (at.size > _SETTLED)
+
+    def solve(_: Callable[[Array], Array], begin: Array) -> tuple[Array, Scalar]:
+        none, count = jnp.zeros(()), jnp.zeros((), dtype=int)
+        slopes = Tip(jnp.zeros((6, 6)), jnp.zeros((3, 6)))
+        last = lax.while_loop(
+            unfinished,
+            refine,
+            _Growth(
+                begin,
+                begin,
+                none,
+                none + 1,
+                slopes,
+                jnp.zeros(3),
+                none,
+                none + jnp.inf,
+                count,
+                count,
+                none == 0,
+            ),
+        )
+        stands_there = last.stood & stands(last.slopes, last.tangent, last.strain)
+        return last.x, jnp.where(stands_there, last.size, jnp.inf)
+
+    def left(x: Wrench) -> Wrench:
+        return at_tip(x, 1.0)[0].load
+
+    load, size = lax.custom_root(left, jnp.zeros(6), solve, _tangent, has_aux=True)
+    return load, (size < _FOUND) & (dot(load[:3], load[:3]) < _LARGEST_LOAD**2)
+
+
+def stands(slopes: Tip, tangent: Vector, strain: Scalar) -> Bool[Array, ""]:
     """Whether a rod without contact is stable: whether small moments across its tip turn it their
     own way. Given are the derivatives of force and moment at the tip, and of its tangent, with
     respect to force and moment at the clamp.
@@ -142,12 +225,12 @@ def stands(
     none = jnp.zeros(3)
     across = across_of(tangent)
     moments = across, jnp.cross(tangent, across)
-    at_clamp = [solve_pivoted(by_load, joined(none, moment))[0] for moment in moments]
+    at_clamp = [solve_pivoted(slopes.load, joined(none, moment))[0] for moment in moments]
 
     def positive(answers: list[Vector]) -> Bool[Array, ""]:
         (a, b), (c, d) = ([dot(moment, answer) for answer in answers] for moment in moments)
         return (a > 0) & (a * d > ((b + c) / 2) ** 2)
 
-    turns = [jnp.cross(tangent, turn @ answer) for answer in at_clamp]
+    turns = [jnp.cross(tangent, slopes.tangent @ answer) for answer in at_clamp]
     hardly = strain < _HARDLY_BENT
     return positive(turns) & (positive([answer[3:] for answer in at_clamp]) | ~hardly)

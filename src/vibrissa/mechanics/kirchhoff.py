@@ -31,7 +31,7 @@ from jax import Array, lax
 from jaxtyping import Float, Int
 
 from vibrissa.geometry.checks import positive
-from vibrissa.mechanics.hanging import LARGEST_LOAD, Load, Share, balanced, shares_of, stands
+from vibrissa.mechanics.hanging import Load, Share, Tip, balanced, grown
 from vibrissa.mechanics.line import Line, State, across_of, closest, most_zeros, zero
 from vibrissa.mechanics.model import (
     AT_ORIGIN,
@@ -484,30 +484,18 @@ class Kirchhoff(RodModel):
         return Hanging(clamp, self.line(clamp, _NO_PUSH, load), load, resting.sound)
 
     def _hanging(self, clamp: Clamp) -> Hanging:
-        def under(load: Wrench, given: tuple[Kirchhoff, Clamp], share: Any = 1.0) -> Line:
-            rod, clamp = given
-            assert rod.load is not None
-            rod = replace(rod, load=Share(rod.load, jnp.asarray(share)))
+        def under(load: Wrench, share: Any) -> Line:
+            assert self.load is not None
+            rod = replace(self, load=Share(self.load, jnp.asarray(share)))
             return rod.line(clamp, _NO_PUSH, load)
 
-        def at_tip(load: Wrench, given: tuple[Kirchhoff, Clamp], share: Any = 1.0) -> State:
-            return jax.tree.map(lambda rows: rows[-1], under(load, given, share).states)
+        def at_tip(load: Wrench, share: Any) -> tuple[Tip, Scalar]:
+            line = under(load, share)
+            strain = jnp.max(self._strain(line, _NO_PUSH))
+            return Tip(line.states.load[-1], line.tangent[-1]), strain
 
-        given = self, clamp
-        assert self.load is not None
-        section = jax.tree.map(lambda part: part[0, 0], self.local.loaded)
-        first = self.load.per_length(jnp.zeros(()), clamp.point, clamp.tangent, section)
-        load, found = balanced(
-            lambda load, share: at_tip(load, given, share).load,
-            jnp.zeros(6),
-            shares=lax.stop_gradient(shares_of(first)),
-        )
-        found &= dot(load[:3], load[:3]) < LARGEST_LOAD**2
-        line = under(load, given)
-        slopes = jax.jacfwd(at_tip)(*lax.stop_gradient((load, given)))
-        strain = jnp.max(self._strain(line, _NO_PUSH))
-        stable = stands(slopes.load, slopes.tangent, line.tangent[-1], strain)
-        return Hanging(clamp, line, load, found & stable)
+        load, found = grown(at_tip)
+        return Hanging(clamp, under(load, 1.0), load, found)
 
     def bent(
         self,
@@ -716,7 +704,7 @@ class Kirchhoff(RodModel):
             moment = push.moment - jnp.cross(here.reach, push.force) + here.load[3:] - tail[3:]
             return here, force, moment, self._rest(inner, s, here._replace(load=tail))
 
-        def left(unknowns: Float[Array, "7"], _share: Any) -> Float[Array, "7"]:
+        def left(unknowns: Float[Array, "7"]) -> Float[Array, "7"]:
             here, force, moment, rest = parts(unknowns)
             lever = -dot(jnp.cross(here.tangent, force), moment) / dot(force, force)
             return joined(lever, rest.states.load[-1])
@@ -726,7 +714,7 @@ class Kirchhoff(RodModel):
             place, _, x = line.between(begin)
             tail = own[place] + x * (own[place + 1] - own[place])
             begin = lax.stop_gradient(joined(begin, tail))
-            unknowns, _ = balanced(left, begin, _before_tip)
+            unknowns = balanced(left, begin, _before_tip)
             here, force, moment, rest = parts(unknowns)
             f, reach = jnp.sqrt(dot(force, force)), here.reach
             total = joined(-push.force, -push.moment)

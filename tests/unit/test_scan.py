@@ -243,3 +243,21 @@ def test_events_of_many_trails_are_those_of_each_alone(rod: vb.Rod) -> None:
         for here, there in zip(own, alone, strict=True):
             assert here.parameter == pytest.approx(there.parameter, abs=1e-11)
             np.testing.assert_allclose(here.point, there.point, atol=1e-9)
+
+
+def test_events_at_a_thin_tip_do_not_depend_on_the_steps() -> None:
+    """Of a twentieth of the clamp's radius, and curved: coarse steps of 0.05 L, and a quarter."""
+    rod = vb.Rod.tapered(
+        length=1.0, base_radius=0.01, tip_radius=5e-4, youngs_modulus=4 / (np.pi * 1e-8)
+    ).curved(vb.RestShape.arc(radius=1.5))
+    bowl = vb.surfaces.EllipticParaboloid(0.5, 1.0, 0.5)
+    ends = (-0.97, -0.545, 0.025), (0.75, 0.824, 0.025)
+    turned = (0.0, -0.1003, -0.1295, 0.9865)
+    coarse, fine = (
+        vb.scan(rod, bowl, vb.Trail(np.linspace(*ends, count), turned)).events
+        for count in (50, 197)
+    )
+    assert EVENT.TANGENTIAL_TO_TIP in [event.kind for event in coarse]
+    assert [event.kind for event in coarse] == [event.kind for event in fine]
+    for here, there in zip(coarse, fine, strict=True):
+        assert here.parameter == pytest.approx(there.parameter, abs=1e-8)

@@ -14,7 +14,7 @@ from jax import Array
 from jaxtyping import Bool, Float, Int
 
 from vibrissa.contact import Law, Reached, Scene, State, Touching, touching
-from vibrissa.forward.march import RUBBING, SHARP, Steps, entering, march, newton
+from vibrissa.forward.march import SHARP, Steps, entering, march, newton
 from vibrissa.forward.path import Stretch, chosen, either
 from vibrissa.geometry.rotation import lengths
 from vibrissa.mechanics.model import RodModel
@@ -23,6 +23,11 @@ from vibrissa.numerics.lanes import WIDTH, lanes
 from vibrissa.numerics.vectors import joined
 
 Scalar = Float[Any, ""]
+
+_SOUND = 1e-9
+"""Residual, indicator included, up to which an event counts as found: on thin tips rounding leaves
+2e-10, which is 1e-8 of a step.
+"""
 
 
 class Indicator(IntEnum):
@@ -105,7 +110,7 @@ def _crossed(
         reached.state.point
         for reached in (low.reached, found.reached, expected.reached, high.reached)
     )
-    sound = (found.residual <= RUBBING) & (lengths(at - between) <= lengths(after - before))
+    sound = (found.residual <= _SOUND) & (lengths(at - between) <= lengths(after - before))
     sound &= (found.fraction >= low.fraction) & (found.fraction <= high.fraction)
     return expected._replace(fraction=found.fraction, reached=found.reached), sound
 
@@ -173,7 +178,7 @@ def _bracketed(
         # With friction an indicator may jump across zero.
         return found, np.isfinite(found.reached.state.flat_rows).all(axis=1)
     left = np.maximum(residual[:, 0], np.abs(_indicated(found, indicator)))
-    return found, left <= RUBBING
+    return found, left <= _SOUND
 
 
 def _between(low: Place, high: Place, share: Float[np.ndarray, "k"]) -> Place:

@@ -75,7 +75,7 @@ def test_an_upright_wire_falls_over_from_its_critical_weight_on(ratio: float) ->
 
 
 @pytest.mark.parametrize("angle", [30.0, 90.0, 170.0, 178.0])
-@pytest.mark.parametrize("ratio", [30.0, 60.0, 80.0])
+@pytest.mark.parametrize("ratio", [20.0, 40.0, 60.0])
 def test_a_wire_as_soft_as_a_rope_hangs(ratio: float, angle: float) -> None:
     """At an angle of the clamp to the weight, nearly upright too: EI ψ'' = w s sin ψ from the free tip, where ψ is the
     angle to the weight; the least turned tip is the shape that the wire takes as the weight grows.

@@ -96,7 +96,7 @@ _BETTER = 2.0
 """Factor by which a higher order has to do better: after a kink all orders do equally badly, and
 the highest overshoots most.
 """
-_NEARBY, _KEPT = 1e-4, 0.05
+_NEARBY, _KEPT = 1e-5, 0.05
 """Residual from which on slopes serve for the next Newton step too, as long as one reduces the
 residual to that fraction: new ones gain three digits, but cost more than the step itself.
 """

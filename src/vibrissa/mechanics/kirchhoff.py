@@ -83,6 +83,8 @@ that the force rolls up has up to five.
 """
 _FULL_TURN = 2 * math.pi
 """By which bending turns a rod that meets itself."""
+_LARGEST_ERROR = 1e-6
+"""Estimated error of a hanging rod's tip [L] up to which it counts as found: as for contacts."""
 _ROUNDING = 1e-9
 """By which a contact at the tip may seem to lie before it [L]."""
 _AT_TIP = 1e-14
@@ -495,7 +497,8 @@ class Kirchhoff(RodModel):
             return Tip(line.states.load[-1], line.tangent[-1]), strain
 
         load, found = grown(at_tip)
-        return Hanging(clamp, under(load, 1.0), load, found)
+        line = under(load, 1.0)
+        return Hanging(clamp, line, load, found & (line.error[-1] < _LARGEST_ERROR))
 
     def bent(
         self,

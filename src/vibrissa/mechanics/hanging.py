@@ -30,7 +30,7 @@ _LONGEST_STEP = 2.0
 """Change of the resultants [EI/L²] in one such step."""
 _LARGEST_CHANGE, _FEW_STEPS = 0.5, 8
 """Change of the resultants [EI/L²] and Newton steps beyond which a share of the load is halved: at
-twice the change, rods that are clamped nearly upright fall to the wrong side.
+four times the change, rods that are clamped nearly upright fall to the wrong side.
 """
 _LEAST_SHARE, _MOST_TRIED = 1e-6, 2000
 """Share of the load below which none is tried, and most steps in all."""
@@ -160,8 +160,10 @@ def grown(
         )
         change, _ = solve_pivoted(slopes.load, tip.load)
         x, size = at.x - change, jnp.max(jnp.abs(change))
-        far = ~(jnp.max(jnp.abs(x - at.before)) < _LARGEST_CHANGE) | (at.steps > _FEW_STEPS)
-        done = ~far & (size < _NEAR) & (share < 1)
+        near = size < _NEAR
+        far = ~(jnp.max(jnp.abs(x - at.before)) < _LARGEST_CHANGE)
+        far |= (at.steps > _FEW_STEPS) & ~near
+        done = ~far & near & (share < 1)
         stood = at.stood & (~done | stands(slopes, tip.tangent, strain))
         more = jnp.where(far, at.more / 2, jnp.where(done, 2 * at.more, at.more))
         given = jnp.where(done, share, at.given)
@@ -182,7 +184,7 @@ def grown(
 
     def unfinished(at: _Growth) -> Array:
         going = at.stood & (at.tried < _MOST_TRIED) & (at.more > _LEAST_SHARE)
-        return going & (at.size > _SETTLED)
+        return going & (at.size > _SETTLED) & (at.steps < _STEPS)
 
     def solve(_: Callable[[Array], Array], begin: Array) -> tuple[Array, Scalar]:
         none, count = jnp.zeros(()), jnp.zeros((), dtype=int)

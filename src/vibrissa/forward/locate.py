@@ -54,6 +54,18 @@ class Place(NamedTuple):
         return np.stack([self.reached.state.force, self.phase, self.figure], axis=-1)
 
 
+class _Sought(NamedTuple):
+    """Events (k, …): stretches, places before and behind them, where interpolation puts them, and
+    what changes sign.
+    """
+
+    stretches: Stretch
+    low: Place
+    high: Place
+    expected: Place
+    indicator: Int[np.ndarray, "k"]
+
+
 def located(
     scene: Scene,
     law: Law,
@@ -68,7 +80,7 @@ def located(
     """
     before, after = (_indicated(end, indicator) for end in (low, high))
     found = _between(low, high, before / np.where(before == after, 1.0, before - after))
-    given = stretches, low, high, found, indicator
+    sought = _Sought(stretches, low, high, found, indicator)
     methods = [_crossed, _bracketed] if law.branch else [_bracketed]
     if len(indicator) <= WIDTH:
         # Few are quicker found by code that is compiled already.
@@ -76,7 +88,7 @@ def located(
     left = np.arange(len(indicator))
     for method in methods:
         if left.size:
-            places, sound = method(scene, law, *chosen(given, left))
+            places, sound = method(scene, law, chosen(sought, left))
             jax.tree.map(partial(_put, left[sound]), found, chosen(places, sound))
             left = left[~sound]
     return found
@@ -90,19 +102,12 @@ def _put(rows: Int[np.ndarray, "j"], whole: np.ndarray, part: np.ndarray) -> Non
     whole[rows] = part
 
 
-def _crossed(
-    scene: Scene,
-    law: Law,
-    stretches: Stretch,
-    low: Place,
-    high: Place,
-    expected: Place,
-    indicator: Int[np.ndarray, "k"],
-) -> tuple[Place, Bool[np.ndarray, "k"]]:
+def _crossed(scene: Scene, law: Law, sought: _Sought) -> tuple[Place, Bool[np.ndarray, "k"]]:
     """Roots of the conditions of contact and the indicator, near where they are expected; and which
     are sound: converged, between the places, and no further from there than these are apart. Their
     figures and phases are those expected.
     """
+    stretches, low, high, expected, indicator = sought
     side = low.reached.state.point - stretches.at(low.fraction[:, None]).point
     start = expected.reached.state, expected.fraction
     found = _crossing((scene, law), stretches, start, side, indicator)
@@ -147,18 +152,11 @@ def _crossing(
     return _Crossing(found.x[-1], Reached(state, found.arc_length, found.tangent), found.residual)
 
 
-def _bracketed(
-    scene: Scene,
-    law: Law,
-    stretches: Stretch,
-    low: Place,
-    high: Place,
-    _expected: Place,
-    indicator: Int[np.ndarray, "k"],
-) -> tuple[Place, Bool[np.ndarray, "k"]]:
+def _bracketed(scene: Scene, law: Law, sought: _Sought) -> tuple[Place, Bool[np.ndarray, "k"]]:
     """The same by bracketing: each equilibrium in between is one step from the first place or,
     without friction, from the one nearer to zero.
     """
+    stretches, low, high, _, indicator = sought
     which = indicator[:, None, None]
     before, after = (_indicated(end, indicator) for end in (low, high))
     # With friction a state depends on its history; a branch has no memory.

@@ -107,7 +107,9 @@ def _tangent(linear: Callable[[Array], Array], right: Array) -> Array:
 
 
 class Tip(NamedTuple):
-    """What a rod under resultants at its clamp leaves at its tip."""
+    """What a rod under resultants at its clamp has at its tip: force and moment left [EI/L²,
+    EI/L], and tangent; or derivatives of both (…, 6).
+    """
 
     load: Wrench
     tangent: Vector
@@ -122,6 +124,7 @@ class _Growth(NamedTuple):
     given: Scalar
     """That share."""
     more: Scalar
+    """By how much more it is tried."""
     slopes: Tip
     """Derivatives with respect to the resultants."""
     tangent: Vector
@@ -167,19 +170,18 @@ def grown(
         stood = at.stood & (~done | stands(slopes, tip.tangent, strain))
         more = jnp.where(far, at.more / 2, jnp.where(done, 2 * at.more, at.more))
         given = jnp.where(done, share, at.given)
-        before = jnp.where(done, x, at.before)
         return _Growth(
-            jnp.where(far, at.before, x),
-            before,
-            given,
-            jnp.minimum(more, 1 - given),
-            slopes,
-            tip.tangent,
-            strain,
-            jnp.where(far | done, jnp.inf, size),
-            jnp.where(far | done, 0, at.steps + 1),
-            at.tried + 1,
-            stood,
+            x=jnp.where(far, at.before, x),
+            before=jnp.where(done, x, at.before),
+            given=given,
+            more=jnp.minimum(more, 1 - given),
+            slopes=slopes,
+            tangent=tip.tangent,
+            strain=strain,
+            size=jnp.where(far | done, jnp.inf, size),
+            steps=jnp.where(far | done, 0, at.steps + 1),
+            tried=at.tried + 1,
+            stood=stood,
         )
 
     def unfinished(at: _Growth) -> Array:
@@ -188,24 +190,20 @@ def grown(
 
     def solve(_: Callable[[Array], Array], begin: Array) -> tuple[Array, Scalar]:
         none, count = jnp.zeros(()), jnp.zeros((), dtype=int)
-        slopes = Tip(jnp.zeros((6, 6)), jnp.zeros((3, 6)))
-        last = lax.while_loop(
-            unfinished,
-            refine,
-            _Growth(
-                begin,
-                begin,
-                none,
-                none + 1,
-                slopes,
-                jnp.zeros(3),
-                none,
-                none + jnp.inf,
-                count,
-                count,
-                none == 0,
-            ),
+        start = _Growth(
+            x=begin,
+            before=begin,
+            given=none,
+            more=none + 1,
+            slopes=Tip(jnp.zeros((6, 6)), jnp.zeros((3, 6))),
+            tangent=jnp.zeros(3),
+            strain=none,
+            size=none + jnp.inf,
+            steps=count,
+            tried=count,
+            stood=none == 0,
         )
+        last: _Growth = lax.while_loop(unfinished, refine, start)
         stands_there = last.stood & stands(last.slopes, last.tangent, last.strain)
         return last.x, jnp.where(stands_there, last.size, jnp.inf)
 

@@ -261,3 +261,22 @@ def test_events_at_a_thin_tip_do_not_depend_on_the_steps() -> None:
     assert [event.kind for event in coarse] == [event.kind for event in fine]
     for here, there in zip(coarse, fine, strict=True):
         assert here.parameter == pytest.approx(there.parameter, abs=1e-8)
+
+
+def test_a_change_of_phase_where_a_face_lets_the_rod_lie_down_is_an_event_with_any_steps() -> None:
+    """Along a flat face contact goes from the tip to a flank that rolls over an edge, all at once:
+    the change of phase may end one stretch or lie in the middle of another.
+    """
+    rod = vb.Rod.cylinder(length=1.0, radius=0.01, youngs_modulus=4 / (np.pi * 1e-8))
+    block = vb.surfaces.Box(center=(0.0, 0.0, 0.95), half_extents=(0.35, 0.25, 0.2))
+    ends = (-0.2816, 0.375, -0.0128), (-0.2626, 0.176, -0.0128)
+    turned = (0.0201, 0.1893, -0.0342, 0.9811)
+    found = [
+        vb.scan(rod, block, vb.Trail(np.linspace(*ends, count), turned), finite_radius=True).events
+        for count in (5, 9, 17, 33, 65)
+    ]
+    assert [event.kind for event in found[0]] == [EVENT.FIRST_CONTACT, EVENT.TIP_TO_TANGENTIAL]
+    for events in found[1:]:
+        assert [event.kind for event in events] == [event.kind for event in found[0]]
+        for here, there in zip(events, found[0], strict=True):
+            assert here.parameter == pytest.approx(there.parameter, abs=1e-8)

@@ -262,6 +262,8 @@ class Branch(Way):
                 beyond = self._beyond(here)
                 if beyond is None:
                     return End("snapped", here)
+                # All that changes there changes at the corner.
+                self._changes(here, beyond, 0.0, happened)
                 here, step = beyond, _FIRST_STEP
             following = self._along(here, step)
             if following is not None and following.onward[-1] <= 0:

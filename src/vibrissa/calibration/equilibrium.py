@@ -81,6 +81,7 @@ def readings(shared: tuple[Surface, Bench], start: State, pose: Pose) -> Reading
     x = iterated(
         lambda x: _touching(surface, given, Unknowns.of(x, count), start.leaning, pose).residual,
         guess,
+        given.model.derivatives,
     )
 
     def read(

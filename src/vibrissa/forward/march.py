@@ -18,10 +18,11 @@ import numpy as np
 from jax import Array, lax
 from jaxtyping import Bool, Float, Int
 
-from vibrissa.contact import Law, Reached, Scene, State, Touching, differences, step_from, touching
+from vibrissa.contact import Law, Reached, Scene, State, Touching, step_from, touching
 from vibrissa.forward.path import chosen
 from vibrissa.mechanics.model import Clamp, RodModel
 from vibrissa.numerics.bracket import POINTS
+from vibrissa.numerics.derivatives import by_differences, exact
 from vibrissa.numerics.lanes import WIDTH, Lanes, lanes
 from vibrissa.numerics.vectors import joined
 
@@ -220,26 +221,26 @@ def _once(
         told = found.bent.arc_length, found.tangent, found.phase, found.beyond
         return residual, (*told, jnp.max(jnp.abs(residual)))
 
-    def roughly(x: Unknowns, near: Scalar | None) -> Unknowns:
+    def roughly(x: Unknowns, near: Scalar | None) -> tuple[Unknowns, tuple[()]]:
         assert rod.slopes_of is not None
-        return conditions(x, rod.slopes_of, near)[0]
+        return conditions(x, rod.slopes_of, near)[0], ()
 
     def slopes(x: Unknowns, told: tuple[Any, ...]) -> Float[Array, "unknowns unknowns"]:
         if not law.branch:
             # Friction has corners, and at some of them contacts begin.
-            return jax.jacfwd(lambda x: roughly(x, None))(x)
+            return exact(lambda x: roughly(x, None), x)[0]
         arc_length, residual = told[0], told[-1]
         kept = (last.residual < _NEARBY) & (residual < _KEPT * last.residual)
         jacobian: Array = lax.cond(
             kept,
             lambda _: last.jacobian,
-            lambda x: differences(lambda x: roughly(x, arc_length), x),
+            lambda x: by_differences(lambda x: roughly(x, arc_length), x)[0],
             x,
         )
         return jacobian
 
-    exact = rod.slopes_of is None
-    step, (*told, _) = step_from(values, last.x, slopes=None if exact else slopes)
+    given = None if rod.slopes_of is None else slopes
+    step, (*told, _) = step_from(values, last.x, slopes=given, derivatives=rod.derivatives)
     return Found(step.x, step.residual, step.jacobian, step.determinant, *told)
 
 

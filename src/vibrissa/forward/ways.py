@@ -126,7 +126,7 @@ def _correct(
         clamp, state = stretch.clamp(y[-1]), State.of(y[:-1], scene.rod.unknowns)
         found = touching(scene, FRICTIONLESS, state, clamp, side=reached)
         told = found.phase, found.bent.arc_length, found.tangent
-        return found.residual, (found.residual, told)
+        return found.residual, told
 
     def unfinished(at: _Corrected) -> Array:
         moves = (at.miss >= _CONVERGED) & (jnp.max(jnp.abs(at.step * weights)) >= _NO_STEP)
@@ -134,7 +134,7 @@ def _correct(
 
     def refine(at: _Corrected) -> _Corrected:
         y = at.y - at.step
-        jacobian, (residual, told) = jax.jacfwd(conditions, has_aux=True)(y)
+        jacobian, (residual, told) = scene.rod.derivatives(conditions, y)
         right = jnp.append(residual, jnp.dot(normal, (y - guess) * weights))
         step, _ = solve_pivoted(jnp.concatenate([jacobian / weights, normal[None]]), right)
         step = step / weights

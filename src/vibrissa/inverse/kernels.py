@@ -21,6 +21,7 @@ from vibrissa.mechanics.model import Clamp, Contact, Free, Resting, RodModel
 from vibrissa.numerics.lanes import FEW, AnyArray, lanes
 from vibrissa.numerics.linear import cholesky, solve_3x3, solve_lower
 from vibrissa.numerics.rotation import cross_matrix, first_axis, rotation_matrix, third_axis
+from vibrissa.numerics.vectors import joined
 
 SINGLE_CONTACT, TIP, LEAST_FORCE = 1e-3, 1e-6, 1e-14
 """If the noise is unknown: how closely reactions must fit a single contact, and s₁ the rod's length
@@ -41,6 +42,10 @@ _SETTLED = 1e-15
 _FIRST_ORDER = 20.0
 """Standard deviations of the force above which first-order errors hold nine times in ten or more
 (measured, `benchmarks/signal_strength.py`); below, second moments are used.
+"""
+_CHANGE, _BEFORE = 1e-6, 2e-5
+"""Change of a wrench, as a fraction, by which contacts are differentiated where not exactly; and of
+a force, by which they move farther than by that.
 """
 _TINY = 1e-300
 
@@ -290,8 +295,8 @@ def weak_contacts(setting: Setting, sample: Sample, likely: Likely) -> Errors:
         along = -force / jnp.sqrt(jnp.sum(force * force))
         return _within_reach(reach), jnp.where(met, found.direction, along)
 
-    reach, direction = jax.vmap(seen)(
-        jnp.concatenate([likely.wrench + steps, likely.at_tip + steps])
+    reach, direction = lax.map(
+        seen, jnp.concatenate([likely.wrench + steps, likely.at_tip + steps])
     )
     reach = reach - likely.reach
     # Perpendicular to n̂: a unit vector can only turn.
@@ -398,7 +403,8 @@ def deviations_of_candidates(setting: Setting, sample: Sample) -> Float[Array, "
         found: Array = setting.rod.contacts(wrench[:3], wrench[3:], clamp, free).arc_length
         return found
 
-    slopes = jax.jacfwd(arc_lengths)(wrench)
+    change = _CHANGE * jnp.max(jnp.abs(wrench))
+    slopes, _ = setting.rod.derivatives(lambda x: (arc_lengths(x), ()), wrench, change=change)
     return jnp.sqrt(jnp.sum(_product(slopes, covariance) * slopes, axis=1))
 
 
@@ -499,16 +505,20 @@ def _probable(setting: Setting, sample: Sample) -> _Probable:
 def _read(held: _Held, wrench: Wrench) -> _Read:
     """What a wrench says about its contact, and how that changes with it."""
 
-    def seen(wrench: Wrench) -> tuple[tuple[Observed, Wrench | None], tuple[Contact, Scalar]]:
+    def seen(wrench: Wrench) -> tuple[tuple[Observed, Wrench | None], Contact]:
         contact, alone = held.reader.contact(wrench), wrench
         if held.reader.load is not None:
             # What the loads do there depends on how the rod is bent.
             alone = wrench + held.reader.load - contact.load
         couple = jnp.sum(alone[:3] * alone[3:])
-        return (Observed(*contact[:4], couple), contact.load), (contact, couple)
+        return (Observed(*contact[:4], couple), contact.load), contact
 
-    (slopes, by_load), (contact, couple) = jax.jacfwd(seen, has_aux=True)(wrench)
-    return _Read(contact, slopes, couple, by_load)
+    # Derivatives differ on the two sides of a loaded rod's tip; a larger force acts before it.
+    about = joined((1 + _BEFORE) * wrench[:3], wrench[3:]) if held.reader.rod.loaded else None
+    (slopes, by_load), ((observed, _), contact) = held.reader.rod.derivatives(
+        seen, wrench, change=_CHANGE * jnp.max(jnp.abs(wrench)), about=about
+    )
+    return _Read(contact, slopes, observed.single, by_load)
 
 
 def _carried(slopes: Observed, covariance: Float[AnyArray, "p p"]) -> Observed:

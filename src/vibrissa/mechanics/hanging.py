@@ -4,6 +4,7 @@ whether the rod stands.
 
 from abc import abstractmethod
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -13,6 +14,7 @@ from jax import Array, lax
 from jaxtyping import Bool, Float
 
 from vibrissa.mechanics.line import across_of
+from vibrissa.numerics.derivatives import by_differences
 from vibrissa.numerics.linear import solve_pivoted
 from vibrissa.numerics.vectors import dot, joined
 
@@ -70,35 +72,25 @@ class Share(Load):
         return self.share * self.whole.per_length(s, position, tangent, section)
 
 
-def balanced(
-    left: Callable[[Array], Array],
-    begin: Array,
-    seen_at: Callable[[Array], Array],
-) -> Array:
-    """Unknowns that leave nothing, by Newton's method from given ones; with derivatives with
-    respect to whatever `left` closes over, taken at `seen_at` of the unknowns, which differs from
-    them by rounding.
-    """
+def balanced(left: Callable[[Array], Array], begin: Array) -> Array:
+    """Unknowns that leave nothing, by Newton's method from given ones."""
 
-    def solve(left: Callable[[Array], Array], begin: Array) -> Array:
-        slopes = jax.jacfwd(lambda x: (left(x),) * 2, has_aux=True)
+    def unfinished(state: tuple[Array, Array, Scalar, Array]) -> Array:
+        return (state[2] > _SETTLED) & (state[3] < _STEPS)
 
-        def unfinished(state: tuple[Array, Array, Scalar, Array]) -> Array:
-            return (state[2] > _SETTLED) & (state[3] < _STEPS)
+    def refine(state: tuple[Array, Array, Scalar, Array]) -> tuple[Array, Array, Scalar, Array]:
+        x, before, size, count = state
+        fresh = size > _NEAR
+        asked = jnp.where(fresh, len(x), 0)
+        slopes, (value, _) = by_differences(lambda x: (left(x), ()), x, count=asked)
+        jacobian = jnp.where(fresh, slopes, before)
+        change, _ = solve_pivoted(jacobian, value)
+        size = jnp.max(jnp.abs(change))
+        share = jnp.minimum(1.0, _LONGEST_STEP / jnp.maximum(size, _TINY))
+        return x - share * change, jacobian, size, count + 1
 
-        def refine(state: tuple[Array, Array, Scalar, Array]) -> tuple[Array, Array, Scalar, Array]:
-            x, jacobian, size, count = state
-            jacobian, value = lax.cond(size > _NEAR, slopes, lambda x: (jacobian, left(x)), x)
-            change, _ = solve_pivoted(jacobian, value)
-            size = jnp.max(jnp.abs(change))
-            share = jnp.minimum(1.0, _LONGEST_STEP / jnp.maximum(size, _TINY))
-            return x - share * change, jacobian, size, count + 1
-
-        blank = jnp.zeros((len(begin),) * 2), jnp.asarray(jnp.inf), jnp.zeros((), dtype=int)
-        found, *_ = lax.while_loop(unfinished, refine, (begin, *blank))
-        return seen_at(found)
-
-    found: Array = lax.custom_root(left, begin, solve, _tangent)
+    blank = jnp.zeros((len(begin),) * 2), jnp.asarray(jnp.inf), jnp.zeros((), dtype=int)
+    found, *_ = lax.while_loop(unfinished, refine, (begin, *blank))
     return found
 
 
@@ -148,19 +140,11 @@ def grown(
     A share of the load is halved where it changes the resultants much or takes many steps.
     """
 
-    def evaluated(x: Wrench, share: Scalar) -> tuple[Tip, tuple[Tip, Scalar]]:
-        tip, strain = at_tip(x, share)
-        return tip, (tip, strain)
-
     def refine(at: _Growth) -> _Growth:
-        share = at.given + at.more
-        slopes, (tip, strain) = lax.cond(
-            at.size > _NEAR,
-            jax.jacfwd(evaluated, has_aux=True),
-            lambda x, share: (at.slopes, at_tip(x, share)),
-            at.x,
-            share,
-        )
+        share, fresh = at.given + at.more, at.size > _NEAR
+        asked = jnp.where(fresh, len(at.x), 0)
+        new, (tip, strain) = by_differences(lambda x: at_tip(x, share), at.x, count=asked)
+        slopes = jax.tree.map(partial(jnp.where, fresh), new, at.slopes)
         change, _ = solve_pivoted(slopes.load, tip.load)
         x, size = at.x - change, jnp.max(jnp.abs(change))
         near = size < _NEAR

@@ -55,6 +55,7 @@ from vibrissa.mechanics.section import (
     halved,
     stage_of,
 )
+from vibrissa.numerics.derivatives import by_differences
 from vibrissa.numerics.rotation import turned
 from vibrissa.numerics.runge_kutta import ORDER_5, ORDER_8, Scheme, error_of_order_8, stepped
 from vibrissa.numerics.vectors import dot, joined
@@ -87,8 +88,6 @@ _LARGEST_ERROR = 1e-6
 """Estimated error of a hanging rod's tip [L] up to which it counts as found: as for contacts."""
 _ROUNDING = 1e-9
 """By which a contact at the tip may seem to lie before it [L]."""
-_AT_TIP = 1e-14
-"""Distance from the tip that rounding leaves to contacts that are taken to it [L]."""
 _TINY = 1e-300
 
 _traced_once = partial(jax.jit, inline=True)
@@ -295,6 +294,11 @@ class Kirchhoff(RodModel):
     def slopes_of(self) -> "Kirchhoff | None":
         """As in `RodModel`."""
         return self if self.rough_steps else self.rough
+
+    @property
+    def derivatives(self) -> Callable[..., Any]:
+        """As in `RodModel`."""
+        return by_differences
 
     @property
     def finer(self) -> "Kirchhoff":
@@ -694,7 +698,7 @@ class Kirchhoff(RodModel):
         line = self.line(clamp, push, jnp.zeros(6))
         inner, hanging = Inner(line, clamp, push), free or self._hanging(clamp)
         assert isinstance(hanging, Hanging)
-        own = lax.stop_gradient(hanging.line.states.load)
+        own = hanging.line.states.load
         force = push.force + line.states.load[:, :3] - own[:, :3]
         inside = push.moment - jnp.cross(line.reach, push.force)
         inside = inside + line.states.load[:, 3:] - own[:, 3:]
@@ -716,8 +720,7 @@ class Kirchhoff(RodModel):
             begin = zero(None, line, slopes, which)
             place, _, x = line.between(begin)
             tail = own[place] + x * (own[place + 1] - own[place])
-            begin = lax.stop_gradient(joined(begin, tail))
-            unknowns = balanced(left, begin, _before_tip)
+            unknowns = balanced(left, joined(begin, tail))
             here, force, moment, rest = parts(unknowns)
             f, reach = jnp.sqrt(dot(force, force)), here.reach
             total = joined(-push.force, -push.moment)
@@ -738,12 +741,3 @@ def _moment(push: Push, at: State) -> Vector:
     """Moment in the rod."""
     m: Vector = push.moment - jnp.cross(at.reach, push.force)
     return m if at.load is None else m + at.load[3:]
-
-
-def _before_tip(unknowns: Float[Array, "7"]) -> Float[Array, "7"]:
-    """An arc length that is that of the tip, taken just before it: where the rod is, and where
-    derivatives do not mix both sides.
-    """
-    s = unknowns[0]
-    at_tip = jnp.abs(s - 1.0) < _AT_TIP
-    return joined(jnp.where(at_tip, 1.0 - _AT_TIP, s), unknowns[1:])

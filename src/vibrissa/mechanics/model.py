@@ -6,6 +6,7 @@ nothing about the object.
 
 import math
 from abc import abstractmethod
+from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
@@ -16,6 +17,7 @@ from jax import Array
 from jaxtyping import Bool, Float, Int
 
 from vibrissa.geometry.rotation import rotation_matrices
+from vibrissa.numerics.derivatives import exact
 
 Scalar = Float[Any, ""]
 Vector = Float[Any, "3"]
@@ -251,6 +253,11 @@ class RodModel(eqx.Module):
         `rough`; None if only exact derivatives will.
         """
         return None
+
+    @property
+    def derivatives(self) -> Callable[..., Any]:
+        """How to differentiate what depends on the rod, as in `vibrissa.numerics.derivatives`."""
+        return exact
 
     @property
     def finer(self) -> "RodModel":

@@ -40,6 +40,7 @@ from vibrissa.mechanics.free import check_stands, free_rods
 from vibrissa.mechanics.kirchhoff import Inner, Kirchhoff, Push
 from vibrissa.mechanics.model import AT_ORIGIN, Clamp, RodModel
 from vibrissa.mechanics.models import model_of
+from vibrissa.numerics.derivatives import CHANGE, by_differences
 from vibrissa.numerics.lanes import AnyArray, lanes
 from vibrissa.numerics.linear import solve_pivoted
 from vibrissa.numerics.rotation import first_axis, rotation_matrix, third_axis, turned
@@ -61,7 +62,7 @@ _NEWTON_STEPS = 6
 """Enough to reach rounding from the start below if s₁ > 0.02; one more carries the derivatives."""
 _LEAST_MOMENT = 1e-6
 """Added in squares, so that directions are differentiable without load: far below any noise."""
-_MOST_STEPS, _SETTLED = 15, 1e-6
+_MOST_STEPS, _SETTLED = 16, 1e-6
 """Most Newton steps to the reactions of any other rod, where five usually suffice, and the last one
 [EI/L²]: the next would be its square.
 """
@@ -250,37 +251,56 @@ def _section(moment: Scalar, axial: Scalar, gamma: Scalar) -> ContactOnRod:
     return contact_on_rod(BasePlane(sine / jnp.sqrt(2 * toward), moment / f), f)
 
 
+class _Sought(NamedTuple):
+    """Unknowns of a rod with given coordinates on the way to where they leave nothing."""
+
+    unknowns: Float[Array, "unknowns"]
+    change: Scalar
+    """Of the last step."""
+    steps: Array
+    done: Bool[Array, ""]
+    slopes: tuple[Float[Array, "unknowns unknowns+coordinates"], Bent]
+    """Derivatives of what is left, and of the rod, with respect to the unknowns and, in the end,
+    the coordinates.
+    """
+    values: tuple[Float[Array, "unknowns"], Bent]
+
+
 def _spatial_at(x: Float[Array, "coordinates"], rod: Kirchhoff, pose: Pose | None) -> Linear:
     """The manifold of any rod, linearised: Newton's method and the implicit function theorem."""
 
-    def missing(unknowns: Array) -> tuple[Array, Array]:
-        left, _ = _of_reactions(unknowns, x, rod, pose)
-        return left, left
+    def at(unknowns: Array, count: Any) -> tuple[tuple[Array, Bent], tuple[Array, Bent]]:
+        def left(both: Array) -> tuple[tuple[Array, Bent], tuple[()]]:
+            return _of_reactions(both[:-COORDINATES], both[-COORDINATES:], rod, pose), ()
 
-    def refined(state: tuple[Array, Scalar, Scalar]) -> tuple[Array, Scalar, Scalar]:
-        unknowns, _, count = state
-        jacobian, left = jax.jacfwd(missing, has_aux=True)(unknowns)
-        change, _ = solve_pivoted(jacobian, left)
-        return unknowns - change, jnp.max(jnp.abs(change)), count + 1
+        # Backwards: a contact at the tip is compared with those before it.
+        slopes, (values, _) = by_differences(left, joined(unknowns, x), change=-CHANGE, count=count)
+        return slopes, values
 
-    def unfinished(state: tuple[Array, Scalar, Scalar]) -> Bool[Array, ""]:
-        return (state[1] > _SETTLED) & (state[2] < _MOST_STEPS)
+    def refined(last: _Sought) -> _Sought:
+        settled = last.change <= _SETTLED
+        slopes, values = at(last.unknowns, len(last.unknowns) + COORDINATES * settled)
+        step, _ = solve_pivoted(slopes[0][:, :-COORDINATES], values[0])
+        step = jnp.where(settled, 0.0, step)
+        change = jnp.max(jnp.abs(step))
+        return _Sought(last.unknowns - step, change, last.steps + 1, settled, slopes, values)
+
+    def unfinished(last: _Sought) -> Bool[Array, ""]:
+        return ~last.done & ~jnp.isnan(last.change) & (last.steps < _MOST_STEPS)
 
     # Without axial force, on a straight rod.
-    lateral = joined(-x[1], x[0]) / x[ARC_LENGTH]
-    start = joined(lateral, jnp.zeros(1 + rod.unknowns)), jnp.asarray(jnp.inf), jnp.zeros(())
-    unknowns, change, _ = lax.while_loop(unfinished, refined, start)
-    unknowns = jnp.where(change <= _SETTLED, unknowns, jnp.nan)
-
-    def solved(both: Array) -> tuple[tuple[Array, Bent], Bent]:
-        left, bent = _of_reactions(both[:-COORDINATES], both[-COORDINATES:], rod, pose)
-        return (left, bent), bent
-
-    slopes, value = jax.jacfwd(solved, has_aux=True)(joined(unknowns, x))
-    by_unknowns, by_x = slopes[0][:, :-COORDINATES], slopes[0][:, -COORDINATES:]
+    start = joined(-x[1] / x[ARC_LENGTH], x[0] / x[ARC_LENGTH], jnp.zeros(1 + rod.unknowns))
+    blank = jax.tree.map(lambda part: jnp.full(part.shape, jnp.nan), jax.eval_shape(at, start, 0))
+    none = jnp.zeros((), dtype=int)
+    first = _Sought(start, jnp.asarray(jnp.inf), none, none > 0, *blank)
+    found = lax.while_loop(unfinished, refined, first)
+    (of_left, slope), (_, value) = jax.tree.map(
+        lambda part: jnp.where(found.done, part, jnp.nan), (found.slopes, found.values)
+    )
+    by_unknowns, by_x = of_left[:, :-COORDINATES], of_left[:, -COORDINATES:]
     moved = jnp.stack([solve_pivoted(by_unknowns, -part)[0] for part in by_x.T], axis=1)
     slope = jax.tree.map(
-        lambda part: part[..., :-COORDINATES] @ moved + part[..., -COORDINATES:], slopes[1]
+        lambda part: part[..., :-COORDINATES] @ moved + part[..., -COORDINATES:], slope
     )
 
     def tilted(at: Array) -> tuple[Bent, Bent]:

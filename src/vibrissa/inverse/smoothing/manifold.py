@@ -63,8 +63,8 @@ _NEWTON_STEPS = 6
 _LEAST_MOMENT = 1e-6
 """Added in squares, so that directions are differentiable without load: far below any noise."""
 _MOST_STEPS, _SETTLED = 16, 1e-6
-"""Most Newton steps to the reactions of any other rod, where five usually suffice, and the last one
-[EI/L²]: the next would be its square.
+"""Most evaluations on the way to the reactions of any other rod, where six usually suffice, and the
+last Newton step [EI/L²]: the next would be its square.
 """
 
 

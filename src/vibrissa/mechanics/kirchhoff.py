@@ -20,6 +20,7 @@ derivatives on both sides.
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
@@ -31,7 +32,7 @@ from jaxtyping import Float, Int
 
 from vibrissa.geometry.checks import positive
 from vibrissa.mechanics.hanging import Load, Share, Tip, balanced, grown
-from vibrissa.mechanics.line import Line, State, across_of, closest, most_zeros, traced_once, zero
+from vibrissa.mechanics.line import Line, State, across_of, closest, most_zeros, zero
 from vibrissa.mechanics.model import (
     AT_ORIGIN,
     Bent,
@@ -88,6 +89,9 @@ _LARGEST_ERROR = 1e-6
 _ROUNDING = 1e-9
 """By which a contact at the tip may seem to lie before it [L]."""
 _TINY = 1e-300
+
+_traced_once = partial(jax.jit, inline=True)
+"""Of functions that kernels call several times: tracing them takes as long as all else."""
 
 
 def steps_for(accuracy: float) -> int:
@@ -371,7 +375,7 @@ class Kirchhoff(RodModel):
     def _scheme(self) -> Scheme:
         return ORDER_5 if self.rough_steps else ORDER_8
 
-    @traced_once
+    @_traced_once
     def line(self, clamp: Clamp, push: Push, load: Wrench | None = None) -> Line:
         """The rod under a contact force that acts at or beyond its tip; with loads, Q and their
         moment about the clamp point at s = 0.
@@ -418,7 +422,7 @@ class Kirchhoff(RodModel):
         error: Scalar = jnp.where(turned < _FULL_TURN, line.error[place + 1], jnp.inf)
         return error
 
-    @traced_once
+    @_traced_once
     def _at(self, inner: Inner, s: Scalar) -> State:
         """The rod at an arc length, by a step from the node before it; straight beyond the tip."""
         line, clamp, push, *_ = inner
@@ -611,7 +615,7 @@ class Kirchhoff(RodModel):
         """As in `RodModel`: a straight rod would have to be bent to and fro to have several."""
         return 1 if self.local.rest is None else _CANDIDATES
 
-    @traced_once
+    @_traced_once
     def contact(
         self,
         force: Vector,
@@ -626,7 +630,7 @@ class Kirchhoff(RodModel):
         crossing, _ = self._crossings(clamp, Push(-force, -moment), free)
         return crossing(which)
 
-    @traced_once
+    @_traced_once
     def contacts(
         self, force: Vector, moment: Vector, clamp: Clamp, free: Free | None = None
     ) -> Contact:

@@ -1,7 +1,6 @@
 """A bent rod as a line through the states where its steps begin and end."""
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -19,9 +18,6 @@ _CLOSEST_STEPS = 4
 _FARTHEST = 4.0
 """Arc length [L] up to which the straight continuation is searched: noise puts contacts there."""
 _TINY = 1e-300
-
-traced_once = partial(jax.jit, inline=True)
-"""Of functions that kernels call several times: tracing them takes as long as all else."""
 
 
 class State(NamedTuple):
@@ -59,7 +55,6 @@ class Line(NamedTuple):
         """Unit tangents."""
         return self.states.tangent
 
-    @traced_once
     def at(self, s: Scalar) -> tuple[Vector, Vector]:
         """Point and tangent at an arc length: quintic between nodes, straight beyond the tip."""
         place, step, x = self.between(s)
@@ -70,14 +65,12 @@ class Line(NamedTuple):
         tangent = slope / jnp.sqrt(jnp.maximum(dot(slope, slope), _TINY))
         return point + jnp.maximum(s - 1.0, 0.0) * tangent, tangent
 
-    @traced_once
     def bend(self, s: Scalar) -> Vector:
         """Slope t' of the tangent [1/L] at an arc length."""
         place, step, x = self.between(s)
         values, (_, _, seconds) = self._ends(place, step), _quintic(x)
         return sum(w * value for w, value in zip(seconds, values, strict=True)) / step**2
 
-    @traced_once
     def along(self, here: State, s: Scalar, step: Scalar) -> State:
         """The state a tiny step further, given at an arc length."""
         place, _, x = self.between(s)
@@ -124,7 +117,6 @@ class Line(NamedTuple):
         return place, step, jnp.clip((s - self.nodes[place]) / whole, 0.0, 1.0)
 
 
-@traced_once
 def _quintic(x: Scalar) -> tuple[list[Scalar], list[Scalar], list[Scalar]]:
     """Weights of value, slope and bend at both ends in a quintic, in its slope and in its bend."""
     x2, x3 = x * x, x * x * x

@@ -43,7 +43,7 @@ _FIRST_ORDER = 20.0
 """Standard deviations of the force above which first-order errors hold nine times in ten or more
 (measured, `benchmarks/signal_strength.py`); below, second moments are used.
 """
-_CHANGE, _BEFORE = 1e-6, 2e-5
+_CHANGE, _BEFORE = 1e-7, 1e-6
 """Change of a wrench, as a fraction, by which contacts are differentiated where not exactly; and of
 a force, by which they move farther than by that.
 """

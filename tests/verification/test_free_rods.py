@@ -75,10 +75,11 @@ def test_an_upright_wire_falls_over_from_its_critical_weight_on(ratio: float) ->
 
 
 @pytest.mark.parametrize("angle", [30.0, 90.0, 170.0, 178.0])
-@pytest.mark.parametrize("ratio", [20.0, 40.0, 60.0])
+@pytest.mark.parametrize("ratio", [20.0, 30.0, 40.0, 60.0, 80.0])
 def test_a_wire_as_soft_as_a_rope_hangs(ratio: float, angle: float) -> None:
-    """At an angle of the clamp to the weight, nearly upright too: EI ψ'' = w s sin ψ from the free tip, where ψ is the
-    angle to the weight; the least turned tip is the shape that the wire takes as the weight grows.
+    """At an angle of the clamp to the weight, nearly upright too: EI ψ'' = w s sin ψ from the free
+    tip, where ψ is the angle to the weight; the least turned tip is the shape that the wire takes
+    as the weight grows.
     """
 
     def bent(tip: float) -> np.ndarray:
@@ -101,7 +102,9 @@ def test_a_wire_as_soft_as_a_rope_hangs(ratio: float, angle: float) -> None:
     down = np.array([np.sin(np.radians(angle)), 0, np.cos(np.radians(angle))])
     gravity = ratio * stiffness / LENGTH**3 / mass * down
     rod = WIRE.loaded(vb.Loads(gravity=tuple(gravity), wind=NONE))
-    scan = vb.scan(rod, FAR, vb.Trail.line(start=(0, 0, 0), stop=(0, 1e-4, 0), count=2))
+    here = vb.Trail.line(start=(0, 0, 0), stop=(0, 1e-4, 0), count=2)
+    # The softest need finer steps; without them they are not said to be found.
+    scan = vb.scan(rod, FAR, here, accuracy=1e-12 if ratio > 60 else 1e-10)
     assert np.all(scan.status == vb.Status.OK)
     moment = np.linalg.norm(scan.reactions.moment[0])
     assert moment == pytest.approx(bent(tip)[1] * stiffness / LENGTH, rel=1e-6)

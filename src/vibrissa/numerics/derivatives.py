@@ -22,8 +22,8 @@ def exact(
     x: Float[Array, "k"],
     **_: Any,
 ) -> tuple[Value, tuple[Value, Told]]:
-    """Derivatives of the first part of what a function returns at x, the arguments as last axis;
-    and all that it returns there.
+    """Derivatives (…, k) of the first part (…) of what a function returns at x; and all that it
+    returns there. Arguments of `by_differences` that say how are ignored.
     """
 
     def both(x: Float[Array, "k"]) -> tuple[Value, tuple[Value, Told]]:

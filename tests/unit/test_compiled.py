@@ -1,11 +1,14 @@
-"""The cache of compiled kernels."""
+"""The cache of compiled kernels, and what is compiled how."""
 
 import os
+import time
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
-from vibrissa.numerics import compiled
+from vibrissa.numerics import compiled, kernel
 
 
 def test_a_cache_that_has_become_too_large_loses_its_older_half(
@@ -22,3 +25,52 @@ def test_a_cache_that_has_become_too_large_loses_its_older_half(
         names = [f"kernel-{age}" for age in range(left)]
         assert sorted(entry.name for entry in tmp_path.iterdir()) == names
     compiled._shrink(tmp_path / "missing")
+
+
+class Logged:
+    """What was compiled, and whether well."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.calls: list[str] = []
+
+        def compiled(function: Any, *, alone: bool, quick: bool = False) -> Any:
+            def call(*arguments: Any) -> Any:
+                self.calls.append("quick" if quick else "well")
+                return function(*arguments)
+
+            return call
+
+        monkeypatch.setattr(kernel, "compiled", compiled)
+
+
+def test_what_runs_for_long_is_compiled_well(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And at once by the next process, or if its arguments are many, or if that is wanted."""
+    monkeypatch.setattr(kernel, "is_marked", lambda name: (tmp_path / name).exists())
+    monkeypatch.setattr(kernel, "mark", lambda name: (tmp_path / name).touch())
+    monkeypatch.setattr(kernel, "_WORTH", 0.05)
+    logged = Logged(monkeypatch)
+
+    def slow(row: tuple[Any, ...]) -> float:
+        time.sleep(0.03)
+        return float(len(row))
+
+    first = kernel.Kernel(slow, alone=True)
+    # The first call of each shape, which compiles it, does not count.
+    for row in [(1.0,)] * 5 + [(np.zeros(2),)]:
+        first(row)
+    assert logged.calls == ["quick"] * 3 + ["well"] * 3
+    logged.calls.clear()
+
+    again = kernel.Kernel(slow, alone=True)
+    again((1.0,))
+    again((1.0, 2.0))
+    again((np.zeros(kernel._LARGE), 2.0))
+    with kernel.compiled_well():
+        again((1.0, 2.0, 3.0))
+    again((1.0, 2.0, 3.0))
+    assert logged.calls == ["well", "quick", "well", "well", "well"]
+    logged.calls.clear()
+    kernel.Kernel(slow, alone=False)((1.0, 2.0, 3.0, 4.0))
+    assert logged.calls == ["well"]

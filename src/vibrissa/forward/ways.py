@@ -24,7 +24,7 @@ from vibrissa.forward.locate import Indicator, Place, located, stepped
 from vibrissa.forward.march import JUMP, JUMP_FLOOR, tolerance_of
 from vibrissa.forward.path import Stretch, chosen
 from vibrissa.forward.search import Settled
-from vibrissa.numerics.compiled import compiled
+from vibrissa.numerics.kernel import Kernel
 from vibrissa.numerics.linear import solve_pivoted
 
 Happened: TypeAlias = tuple[EventKind, float, Float[np.ndarray, "3"]]
@@ -155,7 +155,7 @@ def _correct(
     return found
 
 
-_corrected = compiled(_correct, alone=True)
+_corrected = Kernel(_correct, alone=True)
 
 
 class Branch(Way):

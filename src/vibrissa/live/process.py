@@ -24,6 +24,7 @@ from vibrissa.live.samples import (
     rows_of,
 )
 from vibrissa.live.zero import RESTLESS, ZeroWatch
+from vibrissa.numerics.kernel import compiled_well
 from vibrissa.reactions import VELOCITY_SPAN, Reactions, velocities
 from vibrissa.rod import Rod
 from vibrissa.sensor import CHANNELS, RawRecording, Sensor, Tare
@@ -149,12 +150,13 @@ class Processor:
 
     def warm_up(self) -> None:
         """Compile for every batch size that may come, before samples do."""
-        for rows in (1, MOST_ROWS):
-            raw = _unloaded(rows)
-            compile_for(self.rod, self._reactions(raw, np.zeros(rows, dtype=bool)))
-            # In this pose, not that of the sensor, a soft rod may fall over.
-            with suppress(ValueError):
-                self._sensor.rod_readings(raw)
+        with compiled_well():
+            for rows in (1, MOST_ROWS):
+                raw = _unloaded(rows)
+                compile_for(self.rod, self._reactions(raw, np.zeros(rows, dtype=bool)))
+                # In this pose, not that of the sensor, a soft rod may fall over.
+                with suppress(ValueError):
+                    self._sensor.rod_readings(raw)
 
     def push(self, samples: Samples) -> None:
         """Add samples."""

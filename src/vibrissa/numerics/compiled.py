@@ -1,16 +1,13 @@
-"""Compilation: XLA options, a cache on disk, and a message on the terminal when it takes long.
+"""Compilation: XLA options, and a cache on disk.
 
 Environment variables: `VIBRISSA_CACHE` names the cache's folder, or switches it off (`off`).
 """
 
-import gc
 import hashlib
 import os
 import platform
-import sys
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from functools import cache, lru_cache, wraps
 from pathlib import Path
 from typing import ParamSpec, TypeVar
@@ -23,9 +20,6 @@ Result = TypeVar("Result")
 
 _MOST_KERNELS = 10_000
 """In the cache, some 500 MB; of more, the older half goes."""
-_PATIENCE = 1.0
-"""Compile time [s] after which a message is shown on a terminal."""
-_told = threading.Lock()
 _LARGEST_LOOP = 2**30
 """[bytes] up to which XLA compiles a loop into one function: enough for all of ours. With the
 default of 1024 it calls a function for each operation of each iteration, which takes longer than
@@ -64,6 +58,25 @@ def set_up_cache() -> None:
         jax.config.update(name, value)  # type: ignore[no-untyped-call]
 
 
+def is_marked(name: str) -> bool:
+    """Whether any process has marked a name in the cache."""
+    marked = _mark(name)
+    return marked is not None and marked.exists()
+
+
+def mark(name: str) -> None:
+    """Mark a name in the cache, if there is one."""
+    marked = _mark(name)
+    if marked is not None:
+        with suppress(OSError):
+            marked.touch()
+
+
+def _mark(name: str) -> Path | None:
+    folder = jax.config.values["jax_compilation_cache_dir"]
+    return None if folder is None else Path(folder) / f"{name}-mark"
+
+
 def _shrink(folder: Path) -> None:
     """Drop the older half of a folder that has become too large."""
     # The folder may be missing, and another process may drop entries at the same time.
@@ -87,14 +100,14 @@ def _processor() -> str:
     return f"{platform.machine()}-{hashlib.sha256(repr(told).encode()).hexdigest()[:12]}"
 
 
-@lru_cache(maxsize=2)
-def _options(*, alone: bool) -> dict[str, bool | int]:
+@cache
+def _options(*, alone: bool, quick: bool) -> dict[str, bool | int]:
     """XLA's older loop emitter keeps Newton's method in one vectorised loop: twice as fast here
     (measured), and quicker to compile. Code in one piece takes less work to compile than in many,
     and LLVM's expensive passes add a quarter to the compilation without making the code faster.
 
-    Scalar code runs no slower with few optimisations. Compiling without any would take half the
-    time, but jaxlib 0.10.2 then turns some lanes of a block of 64 into NaN.
+    Scalar code runs no slower with few optimisations. Without any it takes half the time to compile
+    and three times as long to run; of a block of 64 lanes jaxlib 0.10.2 then turns some into NaN.
     """
     options: dict[str, bool | int] = {
         "xla_cpu_use_fusion_emitters": False,
@@ -102,7 +115,7 @@ def _options(*, alone: bool) -> dict[str, bool | int]:
         "xla_llvm_disable_expensive_passes": True,
     }
     if alone:
-        options["xla_backend_optimization_level"] = 1
+        options["xla_backend_optimization_level"] = 0 if quick else 1
     try:
         jax.jit(lambda x: x + 1, compiler_options=options)(0.0)
     except Exception:  # a release of XLA without the options, whatever it raises
@@ -111,55 +124,19 @@ def _options(*, alone: bool) -> dict[str, bool | int]:
 
 
 def compiled(
-    function: Callable[Parameters, Result], *, alone: bool = False
+    function: Callable[Parameters, Result], *, alone: bool = False, quick: bool = False
 ) -> Callable[Parameters, Result]:
     """`jax.jit` with the options above, set up at the first call so that importing a module does
-    not start a backend; `alone` says that there are no lanes side by side.
+    not start a backend; `alone` says that there are no lanes side by side, and `quick` that it
+    matters more how soon such code is at hand than how fast it is.
     """
 
     @lru_cache(maxsize=1)
     def build() -> Callable[Parameters, Result]:
-        return jax.jit(function, compiler_options=_options(alone=alone))
+        return jax.jit(function, compiler_options=_options(alone=alone, quick=quick))
 
     @wraps(function)
     def call(*arguments: Parameters.args, **named: Parameters.kwargs) -> Result:
         return build()(*arguments, **named)
 
     return call
-
-
-@cache
-def _tell() -> None:
-    sys.stderr.write("vibrissa: compiling, once on a machine for each kind of object …\n")
-
-
-@contextmanager
-def telling() -> Iterator[None]:
-    """Say on a terminal that kernels are being compiled, if the block takes long; once in a
-    process.
-    """
-    if not sys.stderr.isatty() or not _told.acquire(blocking=False):
-        yield
-        return
-    timer = threading.Timer(_PATIENCE, _tell)
-    timer.daemon = True
-    timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()
-        _told.release()
-
-
-@contextmanager
-def uncollected() -> Iterator[None]:
-    """Switch off garbage collection: tracing makes little garbage but triggers it very often, which
-    takes a tenth of a compilation's time.
-    """
-    collects = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if collects:
-            gc.enable()

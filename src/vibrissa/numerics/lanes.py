@@ -19,7 +19,7 @@ import os
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from functools import cached_property, partial
 from typing import Any, Generic, TypeAlias, TypeVar
 
@@ -28,7 +28,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from vibrissa.numerics.compiled import compiled, telling, uncollected
+from vibrissa.numerics.kernel import Kernel, quietly
 from vibrissa.numerics.trailing import trailing
 
 Shared = TypeVar("Shared")
@@ -94,14 +94,12 @@ class Lanes(Generic[Shared, Row]):
         self._by_call = by_call
         self._one, self._width, self._blocks = one, width, blocks
         self._alone = alone
-        self._known: set[object] = set()
         self._begun: set[object] = set()
         self._shapes: dict[object, Any] = {}
         self._of_structure: dict[object, Callable[..., Any]] = {}
         self._found: dict[object, Any] = {}
         """Empty results (0, …), of the shapes and types that a call of one row has."""
         self._of_width: dict[int, Callable[..., Any]] = {}
-        self._compiling = threading.Lock()
 
     def __call__(self, shared: Shared, *rows: Any) -> Row:
         """Apply the function to all rows."""
@@ -116,7 +114,7 @@ class Lanes(Generic[Shared, Row]):
             last = min(first + size, count)
             part = jax.tree.map(lambda leaf: _filled(leaf[first:last], size), rows)
             used = np.asarray(-(-(last - first) // width))
-            found = self._guarded(kernel, shared, used, part)
+            found = kernel(shared, used, part)
             return jax.tree.map(lambda leaf: np.asarray(leaf)[..., : last - first], found)
 
         found = in_threads(call, range(0, count, size))
@@ -135,7 +133,7 @@ class Lanes(Generic[Shared, Row]):
             # A list in and a row of numbers out: handling trees takes as long as many rows do.
             leaves, structure = jax.tree.flatten((shared, part))
             call = self._single(structure)
-            found.append(self._guarded(call, leaves, 0))
+            found.append(call(leaves, 0))
             found += in_threads(partial(call, leaves), range(1, last - first))
         return _divided(np.stack(found), self._found[_shaped(structure, leaves)])
 
@@ -151,8 +149,7 @@ class Lanes(Generic[Shared, Row]):
 
     def _quietly(self, *arguments: Any) -> None:
         """Call; whatever fails will fail again where the result is wanted."""
-        _within.ahead = True
-        with suppress(Exception):
+        with quietly(), suppress(Exception):
             self(*arguments)
 
     def _kernel(self, shared: Shared, count: int) -> tuple[Callable[..., Any], int, int]:
@@ -163,17 +160,6 @@ class Lanes(Generic[Shared, Row]):
         if width == 1:
             return self._one_by_one, 1, self._size_alone
         return self._side_by_side(width), width, width * self._blocks
-
-    def _guarded(self, kernel: Callable[..., Any], *arguments: Any) -> Any:
-        """Call a kernel; while one thread compiles it, others wait."""
-        known = (kernel, jax.tree.structure(arguments))
-        if known in self._known:
-            return kernel(*arguments)
-        told = nullcontext() if getattr(_within, "ahead", False) else telling()
-        with told, self._compiling, uncollected():
-            found = kernel(*arguments)
-            self._known.add(known)
-        return found
 
     def _nothing(self, shared: Shared, rows: Any) -> Row:
         one = jax.tree.map(lambda leaf: np.empty(leaf.shape[1:], leaf.dtype), rows)
@@ -214,7 +200,7 @@ class Lanes(Generic[Shared, Row]):
 
         if structure not in self._of_structure:
             single.__name__ = self._one.__name__
-            self._of_structure[structure] = compiled(single, alone=True)
+            self._of_structure[structure] = Kernel(single, alone=True)
         return self._of_structure[structure]
 
     def _side_by_side(self, width: int) -> Callable[..., Any]:
@@ -255,7 +241,7 @@ class Lanes(Generic[Shared, Row]):
 
         # The name that profiles and compilation logs show.
         kernel.__name__ = self._one.__name__
-        return compiled(kernel, alone=width == 1)
+        return Kernel(kernel, alone=width == 1)
 
 
 def lanes(

@@ -61,7 +61,6 @@ def step_from(
     conditions: Callable[[Unknowns], tuple[Unknowns, Told]],
     x: Unknowns,
     *,
-    slopes: Callable[[Unknowns, Told], Float[Array, "unknowns unknowns"]] | None = None,
     derivatives: Callable[..., Any] = exact,
     cautious: bool = False,
 ) -> tuple[Step, Told]:
@@ -70,14 +69,10 @@ def step_from(
     A cautious step is at most 0.2 L long, and is taken even where a singular Jacobian leaves the
     state open: such a state is then no root.
 
-    `conditions` returns the residual, and whatever else is wanted at x; `slopes`, given both x and
-    that, its Jacobian or nearly so, by default its derivatives.
+    `conditions` returns the residual, and whatever else is wanted at x; `derivatives`, as in
+    `vibrissa.numerics.derivatives`, its Jacobian or nearly so.
     """
-    if slopes is None:
-        jacobian, (residual, told) = derivatives(conditions, x)
-    else:
-        residual, told = conditions(x)
-        jacobian = slopes(x, told)
+    jacobian, (residual, told) = derivatives(conditions, x)
     step, determinant = solved_linear(jacobian, residual)
     distance = jnp.sqrt(jnp.sum(step[:3] ** 2))
     longest = _CAUTIOUS_STEP if cautious else _LONGEST_STEP

@@ -149,8 +149,8 @@ def _models(rod: Rod) -> list[tuple[RodModel, tuple[float, ...]]]:
     number of inflections is one of its own.
     """
     if not rod.plain:
-        # Far from the start, exact derivatives lead to more of them.
-        return [(replace(spatial(rod), rough=None), tuple(chain(*_FORCES)))]
+        # Far from the start, derivatives of the rod itself lead to more of them.
+        return [(replace(spatial(rod), roughly=None), tuple(chain(*_FORCES)))]
     return [(Elastica(count), forces) for count, forces in enumerate(_FORCES)]
 
 

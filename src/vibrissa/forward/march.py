@@ -22,7 +22,7 @@ from vibrissa.contact import Law, Reached, Scene, State, Touching, step_from, to
 from vibrissa.forward.path import chosen
 from vibrissa.mechanics.model import Clamp, RodModel
 from vibrissa.numerics.bracket import POINTS
-from vibrissa.numerics.derivatives import by_differences, exact
+from vibrissa.numerics.derivatives import CHANGE, exact
 from vibrissa.numerics.lanes import WIDTH, Lanes, lanes
 from vibrissa.numerics.vectors import joined
 
@@ -215,33 +215,53 @@ def _once(
     last: Found,
 ) -> Found:
     """One Newton step from where the last one led."""
+    rough = rod.rough
 
-    def values(x: Unknowns) -> tuple[Unknowns, tuple[Any, ...]]:
-        residual, found = conditions(x, rod, None)
-        told = found.bent.arc_length, found.tangent, found.phase, found.beyond
-        return residual, (*told, jnp.max(jnp.abs(residual)))
+    def values(
+        x: Unknowns, rod: RodModel = rod, near: Scalar | None = None
+    ) -> tuple[Unknowns, tuple[Any, ...]]:
+        residual, found = conditions(x, rod, near)
+        return residual, (found.bent.arc_length, found.tangent, found.phase, found.beyond)
 
-    def roughly(x: Unknowns, near: Scalar | None) -> tuple[Unknowns, tuple[()]]:
-        assert rod.slopes_of is not None
-        return conditions(x, rod.slopes_of, near)[0], ()
-
-    def slopes(x: Unknowns, told: tuple[Any, ...]) -> Float[Array, "unknowns unknowns"]:
+    def derivatives(_: Any, x: Unknowns) -> tuple[Array, tuple[Unknowns, Any]]:
+        if rough is None:
+            return rod.derivatives(values, x)
         if not law.branch:
             # Friction has corners, and at some of them contacts begin.
-            return exact(lambda x: roughly(x, None), x)[0]
-        arc_length, residual = told[0], told[-1]
-        kept = (last.residual < _NEARBY) & (residual < _KEPT * last.residual)
-        jacobian: Array = lax.cond(
-            kept,
-            lambda _: last.jacobian,
-            lambda x: by_differences(lambda x: roughly(x, arc_length), x)[0],
-            x,
-        )
-        return jacobian
+            return exact(lambda x: (values(x, rough)[0], ()), x)[0], values(x)
+        return _roughly(rod, rough, values, last, x)
 
-    given = None if rod.slopes_of is None else slopes
-    step, (*told, _) = step_from(values, last.x, slopes=given, derivatives=rod.derivatives)
+    step, told = step_from(values, last.x, derivatives=derivatives)
     return Found(step.x, step.residual, step.jacobian, step.determinant, *told)
+
+
+def _roughly(
+    rod: RodModel, rough: RodModel, values: Callable[..., Any], last: Found, x: Unknowns
+) -> tuple[Array, tuple[Unknowns, Any]]:
+    """Conditions on a rod and what they tell, and slopes: differences of those on the rougher one
+    near the same contact, or those of the last step. In one loop: the code of rods takes longest to
+    compile.
+    """
+    places = jnp.concatenate([x[None], x + CHANGE * jnp.eye(len(x) + 1, len(x), -1)])
+
+    def evaluate(state: tuple[Array, Array, Array, Any]) -> tuple[Array, Array, Array, Any]:
+        row, most, rows, told = state
+        first = row == 0
+        either = partial(jax.tree.map, partial(jnp.where, first))
+        near = jnp.where(first, jnp.nan, told[0])
+        residual, new = values(places[row], either(rod, rough), near)
+        largest = jnp.max(jnp.abs(residual))
+        kept = (last.residual < _NEARBY) & (largest < _KEPT * last.residual)
+        most = jnp.where(first & ~kept, len(places) - 1, most)
+        return row + 1, most, _put(row, rows, residual), either(new, told)
+
+    none, nan = jnp.zeros((), dtype=int), jnp.full((), jnp.nan)
+    blank = jnp.zeros(places.shape), (nan, jnp.full(3, jnp.nan), nan, nan)
+    _, most, rows, told = lax.while_loop(
+        lambda state: state[0] <= state[1], evaluate, (none, none, *blank)
+    )
+    slopes = jnp.where(most > 0, (rows[2:] - rows[1]).T / CHANGE, last.jacobian)
+    return slopes, (rows[0], told)
 
 
 def nowhere(scene: Scene, law: Law, *shape: int, fill: float = np.nan) -> Reached:

@@ -316,14 +316,20 @@ def solutions(
     (I. J. Good, Biometrika 40 (1953) 237-264).
     """
     rough = scene.rod.rough
-    if rough is not None:
-        seeds = solutions(scene._replace(rod=rough), clamp, law, seeds, sparing=sparing).state
+    if rough is None:
+        return _solutions(scene, clamp, law, seeds, sparing=sparing)
+    roughly = _solutions(scene._replace(rod=rough), clamp, law, seeds, sparing=sparing)
+    return _solutions(scene, clamp, law, roughly.state)
 
+
+def _solutions(
+    scene: Scene, clamp: Clamp, law: Law, seeds: State, *, sparing: bool = False
+) -> Solutions:
     def newton(seeds: State, tolerance: float = SHARP) -> tuple[Solutions, None]:
         steps = from_seeds(scene, law, clamp, seeds, tolerance)
         return Solutions(steps.reached.state, steps.figure, steps.residual), None
 
-    if not sparing or rough is not None:
+    if not sparing:
         return _distinct(newton, clamp, seeds)
     begun, _ = newton(seeds, np.finfo(float).max)
     order = np.argsort(begun.residual)

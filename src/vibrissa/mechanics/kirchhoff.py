@@ -23,7 +23,6 @@ from dataclasses import replace
 from functools import partial
 from typing import Any, ClassVar, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -32,7 +31,7 @@ from jaxtyping import Float, Int
 
 from vibrissa.geometry.checks import positive
 from vibrissa.mechanics.hanging import Load, Share, Tip, balanced, grown
-from vibrissa.mechanics.line import Line, State, across_of, closest, most_zeros, zero
+from vibrissa.mechanics.line import Line, State, across_of, closest, most_zeros, place_in, zero
 from vibrissa.mechanics.model import (
     AT_ORIGIN,
     Bent,
@@ -53,6 +52,7 @@ from vibrissa.mechanics.section import (
     fitted,
     graded,
     halved,
+    padded,
     stage_of,
 )
 from vibrissa.numerics.derivatives import by_differences
@@ -175,6 +175,14 @@ class Hanging(Free):
         return self.line.states.energy[-1]
 
 
+class Division(NamedTuple):
+    """A rod in steps, as in `Kirchhoff`; those that are left over have no length."""
+
+    nodes: Float[Any, "nodes"]
+    local: Local
+    scheme: Scheme
+
+
 class Kirchhoff(RodModel):
     """A rod of varying section and rest shape, in units of its stiffness at the clamp."""
 
@@ -188,15 +196,13 @@ class Kirchhoff(RodModel):
     moment [EI/L].
     """
 
-    rough: "Kirchhoff | None" = None
-    """As in `RodModel`: in fewer and cheaper steps."""
+    scheme: Scheme = ORDER_8
+    roughly: "Division | None" = None
+    """Fewer and cheaper steps."""
     unloaded: Line | None = None
     """The rod's own shape, seen from an unmoved clamp, where nothing but a contact loads it."""
     divided: "Kirchhoff | None" = None
     """The rod whose steps were halved to get this one."""
-    rough_steps: bool = eqx.field(static=True, default=False)
-    """Whether steps are of order 5, not 8."""
-
     accuracy: ClassVar[float] = 1e-8
     last_step: ClassVar[float] = 1e-8
     """As in `RodModel`: even on a thin whisker, whose rougher rod gives two digits of a derivative,
@@ -232,13 +238,14 @@ class Kirchhoff(RodModel):
         nodes = jnp.linspace(0, 1, STEPS + 1) if nodes is None else jnp.asarray(nodes)
         given = (bending, torsion, rest, girth, loaded)
 
-        def divided(nodes: Array, **more: Any) -> Kirchhoff:
-            local = Local(*(None if of is None else fitted(of, nodes) for of in given))
-            return cls(nodes, local, load, compliance, **more)
+        def polynomials(nodes: Array) -> Local:
+            return Local(*(None if of is None else fitted(of, nodes) for of in given))
 
         steps = len(nodes) - 1
         few = np.linspace(0, steps, math.ceil(steps / _ROUGHLY) + 1).round().astype(int)
-        rod = divided(nodes, rough=divided(nodes[few], rough_steps=True))
+        roughly = padded(nodes[few], polynomials(nodes[few]), steps)
+        local = polynomials(nodes)
+        rod = cls(nodes, local, load, compliance, roughly=Division(*roughly, ORDER_5))
         return rod if load is not None else replace(rod, unloaded=rod.own_shape)
 
     @classmethod
@@ -274,7 +281,7 @@ class Kirchhoff(RodModel):
 
     def slimmer(self, s: Scalar) -> Scalar:
         """As in `RodModel`."""
-        place = jnp.clip(jnp.sum(self.nodes[1:] <= s), 0, len(self.nodes) - 2)
+        place = place_in(jnp.asarray(self.nodes), s)
         start, end = self.nodes[place], self.nodes[place + 1]
         # Beyond the tip it would go on as before.
         return 1 - jnp.polyval(self.local.girth[place][::-1], (s - start) / (end - start))
@@ -291,9 +298,9 @@ class Kirchhoff(RodModel):
         return uniform / own
 
     @property
-    def slopes_of(self) -> "Kirchhoff | None":
+    def rough(self) -> "Kirchhoff | None":
         """As in `RodModel`."""
-        return self if self.rough_steps else self.rough
+        return None if self.roughly is None else replace(self, **self.roughly._asdict())
 
     @property
     def derivatives(self) -> Callable[..., Any]:
@@ -365,15 +372,10 @@ class Kirchhoff(RodModel):
             start,
             h,
             stages,
-            self._scheme,
+            self.scheme,
         )
         # Reach and tangent come first.
-        error = jnp.zeros(()) if self.rough_steps else error_of_order_8(h, slopes[:, :6])
-        return after, first, error
-
-    @property
-    def _scheme(self) -> Scheme:
-        return ORDER_5 if self.rough_steps else ORDER_8
+        return after, first, error_of_order_8(h, slopes[:, :6])
 
     @_traced_once
     def line(self, clamp: Clamp, push: Push, load: Wrench | None = None) -> Line:
@@ -385,24 +387,41 @@ class Kirchhoff(RodModel):
         if load is not None:
             moment = load[3:] - jnp.cross(first.reach, load[:3])
             first = first._replace(load=joined(load[:3], moment))
-        stages = jax.vmap(lambda local: at_stages(local, 0.0, 1.0, self._scheme.nodes))(self.local)
+        return self._run(clamp.point, push, first, jnp.asarray(self.nodes), 0)
 
-        def step(at: State, section: Any) -> tuple[State, Any]:
-            after, *begin = self._step(clamp.point, push, at, *section)
-            return after, (at, *begin)
+    def _run(self, origin: Vector, push: Push, first: State, stops: Array, begin: Any) -> Line:
+        """From a state on, given at the stop `begin`: stops lie at the nodes or, where the rod
+        begins behind them, at its beginning, where rates are not known.
+        """
+        steps = len(self.nodes) - 1
+        count = jnp.sum(self.nodes[:-1] < self.nodes[-1])
 
-        last, rows = lax.scan(step, first, (self.nodes[:-1], jnp.diff(self.nodes), stages))
-        return self._line(clamp.point, push, jnp.asarray(self.nodes), last, rows)
+        def advance(index: Array, state: tuple[State, Any]) -> tuple[State, Any]:
+            at, rows = state
+            node, start = self.nodes[index], stops[index]
+            width, h = self.nodes[index + 1] - node, stops[index + 1] - start
+            own = jax.tree.map(lambda steps: steps[index], self.local)
+            stages = at_stages(own, (start - node) / width, h / width, self.scheme.nodes)
+            after, *told = self._step(origin, push, at, start, h, stages)
+            return after, jax.tree.map(
+                lambda whole, row: lax.dynamic_update_index_in_dim(whole, row, index, 0),
+                rows,
+                (at, *told),
+            )
 
-    def _line(self, origin: Vector, push: Push, nodes: Any, last: State, rows: Any) -> Line:
-        """A line from states and rates where its steps begin, their errors, and its last state."""
+        blank = first, jax.tree.map(jnp.zeros_like, first), jnp.zeros(())
+        rows = jax.tree.map(lambda part: jnp.broadcast_to(part, (steps, *part.shape)), blank)
+        last, (states, rates, errors) = lax.fori_loop(begin, count, advance, (first, rows))
         tip = jax.tree.map(lambda part: jnp.sum(part[-1], axis=0), self.local)
-        end = last, self._slope(origin, push, nodes[-1], last, stage_of(tip))
-        *begin, errors = rows
-        states, rates = jax.tree.map(
-            lambda row, at: jnp.concatenate([row, at[None]]), tuple(begin), end
-        )
-        return Line(nodes, states, rates, jnp.append(0.0, jnp.cumsum(errors)))
+        end = last, self._slope(origin, push, stops[-1], last, stage_of(tip))
+        done = jnp.arange(steps) < count
+
+        def ended(rows: Array, end: Array) -> Array:
+            run = done.reshape(-1, *(1,) * end.ndim)
+            return jnp.concatenate([jnp.where(run, rows, end), end[None]])
+
+        states, rates = jax.tree.map(ended, (states, rates), end)
+        return Line(stops, states, rates, jnp.append(0.0, jnp.cumsum(errors)))
 
     def _strain(self, line: Line, push: Push) -> Float[Array, "nodes"]:
         """Elastic curvature [1/L] at the nodes."""
@@ -429,7 +448,7 @@ class Kirchhoff(RodModel):
         place, step, x = line.between(s)
         before = jax.tree.map(lambda rows: rows[place], line.states)
         own = jax.tree.map(lambda part: part[place], self.local)
-        start, stages = line.nodes[place], at_stages(own, 0.0, x, self._scheme.nodes)
+        start, stages = line.nodes[place], at_stages(own, 0.0, x, self.scheme.nodes)
         here, *_ = self._step(clamp.point, push, before, start, x * step, stages)
         return here._replace(reach=here.reach + jnp.maximum(s - 1.0, 0.0) * here.tangent)
 
@@ -441,29 +460,10 @@ class Kirchhoff(RodModel):
         """The rod behind a contact, given there, under loads: nodes before the contact all lie at
         it, without rates.
         """
-        nodes, stop = inner.line.nodes, jnp.clip(jnp.maximum(inner.line.nodes, s), 0.0, 1.0)
-        origin, count = inner.clamp.point, len(nodes) - 1
-
-        def advance(index: Array, state: tuple[State, Any]) -> tuple[State, Any]:
-            at, rows = state
-            width = nodes[index + 1] - nodes[index]
-            start, end = stop[index], stop[index + 1]
-            part = (start - nodes[index]) / width, (end - start) / width
-            own = jax.tree.map(lambda steps: steps[index], self.local)
-            stages = at_stages(own, *part, self._scheme.nodes)
-            after, *begin = self._step(origin, _NO_PUSH, at, start, end - start, stages)
-            return after, jax.tree.map(
-                lambda whole, row: lax.dynamic_update_index_in_dim(whole, row, index, 0),
-                rows,
-                (at, *begin),
-            )
-
-        blank = here, jax.tree.map(jnp.zeros_like, here), jnp.zeros(())
-        rows = jax.tree.map(lambda part: jnp.broadcast_to(part, (count, *part.shape)), blank)
+        stops = jnp.clip(jnp.maximum(inner.line.nodes, s), 0.0, 1.0)
         # Steps before the contact have no length.
         place, *_ = inner.line.between(s)
-        last, rows = lax.fori_loop(place, count, advance, (here, rows))
-        return self._line(origin, _NO_PUSH, stop, last, rows)
+        return self._run(inner.clamp.point, _NO_PUSH, here, stops, place)
 
     def beyond(self, inner: Inner, s: Scalar) -> Line:
         """The rest of the rod, from the contact at s on: without loads it has its own shape."""

@@ -110,11 +110,17 @@ class Line(NamedTuple):
 
     def between(self, s: Scalar) -> tuple[Array, Scalar, Scalar]:
         """The node before an arc length, the step that begins there, and the place in it."""
-        place = jnp.clip(jnp.sum(self.nodes[1:] <= s), 0, len(self.nodes) - 2)
+        place = place_in(self.nodes, s)
         step = self.nodes[place + 1] - self.nodes[place]
         # Behind a contact at the tip all nodes are one.
         whole = jnp.where(step > 0, step, 1.0)
         return place, step, jnp.clip((s - self.nodes[place]) / whole, 0.0, 1.0)
+
+
+def place_in(nodes: Float[Array, "nodes"], s: Scalar) -> Int[Array, ""]:
+    """The node at which the step begins that holds an arc length, or the last that has a length."""
+    last = jnp.maximum(jnp.sum(nodes[:-1] < nodes[-1]) - 1, 0)
+    return jnp.minimum(jnp.sum(nodes[1:] <= s), last)
 
 
 def _quintic(x: Scalar) -> tuple[list[Scalar], list[Scalar], list[Scalar]]:
@@ -167,20 +173,25 @@ def most_zeros(values: Float[Array, "nodes"]) -> Int[Array, ""]:
 
 def closest(line: Line, r: Vector, near: Scalar | None = None) -> Scalar:
     """Arc length at which a line comes closest to a point: the first time that it comes about as
-    close as ever, since behind a contact the force may curl it up; a step from `near` if given.
+    close as ever, since behind a contact the force may curl it up; a step from `near` if that is
+    given and a number.
     """
 
     def along(s: Scalar) -> Scalar:
         at, tangent = line.at(s)
         return dot(at - r, tangent)
 
-    if near is not None:
-        return near - along(near)
-    gaps = line.reach - r
-    distance = jnp.sqrt(jnp.sum(gaps * gaps, 1))
-    near = jnp.minimum(distance[:-1], distance[1:])
-    as_near = near <= 2 * jnp.min(distance) + jnp.diff(line.nodes)
-    return zero(along, line, jnp.sum(gaps * line.tangent, 1), allowed=as_near)
+    def anywhere() -> Scalar:
+        gaps = line.reach - r
+        distance = jnp.sqrt(jnp.sum(gaps * gaps, 1))
+        nearer = jnp.minimum(distance[:-1], distance[1:])
+        as_near = nearer <= 2 * jnp.min(distance) + jnp.diff(line.nodes)
+        return zero(along, line, jnp.sum(gaps * line.tangent, 1), allowed=as_near)
+
+    if near is None:
+        return anywhere()
+    found: Scalar = lax.cond(jnp.isnan(near), anywhere, lambda: near - along(near))
+    return found
 
 
 def across_of(tangent: Vector) -> Vector:

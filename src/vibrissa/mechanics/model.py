@@ -244,13 +244,8 @@ class RodModel(eqx.Module):
 
     @property
     def rough(self) -> "RodModel | None":
-        """Nearly the same rod at less cost."""
-        return None
-
-    @property
-    def slopes_of(self) -> "RodModel | None":
-        """The rod whose slopes, to a few digits, will do for Newton's method, as that of its
-        `rough`; None if only exact derivatives will.
+        """Nearly the same rod at less cost, in arrays of the same shapes; its slopes will do for
+        Newton's method. It is its own rougher one; None if only exact derivatives will do.
         """
         return None
 

@@ -60,6 +60,18 @@ def halved(polynomials: Any) -> Any:
     return jax.tree.map(half, polynomials)
 
 
+def padded(nodes: Float[Any, "nodes"], polynomials: Any, steps: int) -> tuple[Array, Any]:
+    """Nodes and polynomials with further steps at the tip that have no length."""
+    more = steps + 1 - len(nodes)
+
+    def pad(part: Array) -> Array:
+        tip = jnp.zeros(part.shape[1:]).at[0].set(jnp.sum(part[-1], axis=0))
+        return jnp.concatenate([part, jnp.broadcast_to(tip, (more, *tip.shape))])
+
+    whole = jnp.append(nodes, jnp.broadcast_to(nodes[-1], more))
+    return whole, jax.tree.map(pad, polynomials)
+
+
 class Stage(NamedTuple):
     """What a slope depends on at an arc length, or at the stages of steps."""
 

@@ -20,15 +20,27 @@ State = TypeVar("State")
 
 
 class Scheme(NamedTuple):
-    """Coefficients of a method with k stages."""
+    """Coefficients of a method, of which the first `count` stages of k are its own."""
 
-    stages: Float[np.ndarray, "k k"]
-    nodes: Float[np.ndarray, "k"]
-    weights: Float[np.ndarray, "k"]
+    stages: Float[Any, "k k"]
+    nodes: Float[Any, "k"]
+    weights: Float[Any, "k"]
+    count: Any
 
 
-ORDER_8 = Scheme(DOP853.A, DOP853.C[: len(DOP853.B)], DOP853.B)
-ORDER_5 = Scheme(np.pad(RK45.A, ((0, 0), (0, 1))), RK45.C, RK45.B)
+_MOST = len(DOP853.B)
+
+
+def _scheme(a: np.ndarray, c: np.ndarray, b: np.ndarray) -> Scheme:
+    """All have as many stages, so that the same code does for each."""
+    count = len(b)
+    stages, nodes, weights = np.zeros((_MOST, _MOST)), np.zeros(_MOST), np.zeros(_MOST)
+    stages[:count, : a.shape[1]], nodes[:count], weights[:count] = a, c[:count], b
+    return Scheme(stages, nodes, weights, np.asarray(count))
+
+
+ORDER_8 = _scheme(DOP853.A, DOP853.C, DOP853.B)
+ORDER_5 = _scheme(RK45.A, RK45.C, RK45.B)
 _THIRD, _FIFTH, _SHARE = DOP853.E3[:-1], DOP853.E5[:-1], 0.1
 """Differences to the two formulas of lower order that the method holds, of which its estimate of
 the error is made (ibid., sec. II.10).
@@ -52,7 +64,6 @@ def stepped(
     """
     # One array: XLA spends far longer on a loop over many small ones.
     begin, state_of = ravel_pytree(at)
-    count = len(scheme.weights)
 
     def stage(index: Array, slopes: Array) -> Array:
         own = jax.tree.map(lambda part: part[index], stages)
@@ -62,8 +73,12 @@ def stepped(
         return lax.dynamic_update_index_in_dim(slopes, row, index, 0)
 
     # A loop, not a sequence: a fifth of the time to compile, and no slower.
-    slopes = lax.fori_loop(0, count, stage, jnp.zeros((count, begin.size)))
-    return state_of(begin + h * _sum(scheme.weights, slopes)), state_of(slopes[0]), slopes
+    slopes = lax.fori_loop(0, scheme.count, stage, jnp.zeros((_MOST, begin.size)))
+    return (
+        state_of(begin + h * _sum(jnp.asarray(scheme.weights), slopes)),
+        state_of(slopes[0]),
+        slopes,
+    )
 
 
 def error_of_order_8(h: Scalar, slopes: Float[Array, "k n"]) -> Scalar:

@@ -181,6 +181,13 @@ class Division(NamedTuple):
     nodes: Float[Any, "nodes"]
     local: Local
     scheme: Scheme
+    stages: Stage
+
+    @classmethod
+    def of(cls, nodes: Array, local: Local, scheme: Scheme = ORDER_8) -> "Division":
+        """With stages."""
+        each = jax.vmap(lambda step: at_stages(step, 0.0, 1.0, scheme.nodes))
+        return cls(nodes, local, scheme, each(local))
 
 
 class Kirchhoff(RodModel):
@@ -190,13 +197,15 @@ class Kirchhoff(RodModel):
     """Arc lengths [L] at which steps begin and end."""
     local: Local
     """Polynomials (steps, 5, …) in each step."""
+    scheme: Scheme
+    stages: Stage
+    """At the stages of each step (steps, k, …)."""
     load: Load | None = None
     compliance: Float[Any, "6 6"] | None = None
     """Of the support, clamp axes: displacement [L] and rotation vector under force [EI/L²] and
     moment [EI/L].
     """
 
-    scheme: Scheme = ORDER_8
     roughly: "Division | None" = None
     """Fewer and cheaper steps."""
     unloaded: Line | None = None
@@ -244,8 +253,8 @@ class Kirchhoff(RodModel):
         steps = len(nodes) - 1
         few = np.linspace(0, steps, math.ceil(steps / _ROUGHLY) + 1).round().astype(int)
         roughly = padded(nodes[few], polynomials(nodes[few]), steps)
-        local = polynomials(nodes)
-        rod = cls(nodes, local, load, compliance, roughly=Division(*roughly, ORDER_5))
+        own = Division.of(nodes, polynomials(nodes))
+        rod = cls(*own, load, compliance, roughly=Division.of(*roughly, ORDER_5))
         return rod if load is not None else replace(rod, unloaded=rod.own_shape)
 
     @classmethod
@@ -312,7 +321,8 @@ class Kirchhoff(RodModel):
         """As in `RodModel`."""
         half = self.nodes[:-1] + jnp.diff(self.nodes) / 2
         nodes = jnp.append(jnp.stack([self.nodes[:-1], half], 1).ravel(), self.nodes[-1])
-        return Kirchhoff(nodes, halved(self.local), self.load, self.compliance, divided=self)
+        own = Division.of(nodes, halved(self.local))
+        return Kirchhoff(*own, self.load, self.compliance, divided=self)
 
     def base(self, clamp: Clamp, wrench: Wrench) -> State:
         """The rod where its support has yielded to force and moment about the clamp point, without
@@ -387,22 +397,30 @@ class Kirchhoff(RodModel):
         if load is not None:
             moment = load[3:] - jnp.cross(first.reach, load[:3])
             first = first._replace(load=joined(load[:3], moment))
-        return self._run(clamp.point, push, first, jnp.asarray(self.nodes), 0)
+        return self._run(clamp.point, push, first, jnp.asarray(self.nodes))
 
-    def _run(self, origin: Vector, push: Push, first: State, stops: Array, begin: Any) -> Line:
+    def _run(
+        self,
+        origin: Vector,
+        push: Push,
+        first: State,
+        stops: Array,
+        begin: Any = 0,
+        part: Stage | None = None,
+    ) -> Line:
         """From a state on, given at the stop `begin`: stops lie at the nodes or, where the rod
-        begins behind them, at its beginning, where rates are not known.
+        begins behind them, at its beginning, where rates are not known. Of the first step there may
+        be only a part, whose stages are given.
         """
         steps = len(self.nodes) - 1
         count = jnp.sum(self.nodes[:-1] < self.nodes[-1])
 
         def advance(index: Array, state: tuple[State, Any]) -> tuple[State, Any]:
             at, rows = state
-            node, start = self.nodes[index], stops[index]
-            width, h = self.nodes[index + 1] - node, stops[index + 1] - start
-            own = jax.tree.map(lambda steps: steps[index], self.local)
-            stages = at_stages(own, (start - node) / width, h / width, self.scheme.nodes)
-            after, *told = self._step(origin, push, at, start, h, stages)
+            start, stages = stops[index], jax.tree.map(lambda steps: steps[index], self.stages)
+            if part is not None:
+                stages = jax.tree.map(partial(jnp.where, index == begin), part, stages)
+            after, *told = self._step(origin, push, at, start, stops[index + 1] - start, stages)
             return after, jax.tree.map(
                 lambda whole, row: lax.dynamic_update_index_in_dim(whole, row, index, 0),
                 rows,
@@ -447,8 +465,8 @@ class Kirchhoff(RodModel):
         line, clamp, push, *_ = inner
         place, step, x = line.between(s)
         before = jax.tree.map(lambda rows: rows[place], line.states)
-        own = jax.tree.map(lambda part: part[place], self.local)
-        start, stages = line.nodes[place], at_stages(own, 0.0, x, self.scheme.nodes)
+        start = line.nodes[place]
+        stages = at_stages(self._step_at(place), 0.0, x, self.scheme.nodes)
         here, *_ = self._step(clamp.point, push, before, start, x * step, stages)
         return here._replace(reach=here.reach + jnp.maximum(s - 1.0, 0.0) * here.tangent)
 
@@ -462,8 +480,13 @@ class Kirchhoff(RodModel):
         """
         stops = jnp.clip(jnp.maximum(inner.line.nodes, s), 0.0, 1.0)
         # Steps before the contact have no length.
-        place, *_ = inner.line.between(s)
-        return self._run(inner.clamp.point, _NO_PUSH, here, stops, place)
+        place, _, x = inner.line.between(s)
+        part = at_stages(self._step_at(place), x, 1 - x, self.scheme.nodes)
+        return self._run(inner.clamp.point, _NO_PUSH, here, stops, place, part)
+
+    def _step_at(self, place: Any) -> Local:
+        step: Local = jax.tree.map(lambda steps: steps[place], self.local)
+        return step
 
     def beyond(self, inner: Inner, s: Scalar) -> Line:
         """The rest of the rod, from the contact at s on: without loads it has its own shape."""

@@ -24,6 +24,7 @@ from vibrissa.mechanics.model import Clamp, RodModel
 from vibrissa.numerics.bracket import POINTS
 from vibrissa.numerics.derivatives import CHANGE, exact
 from vibrissa.numerics.lanes import WIDTH, Lanes, lanes
+from vibrissa.numerics.rows import row_of, with_row
 from vibrissa.numerics.vectors import joined
 
 Scalar = Float[Any, ""]
@@ -247,13 +248,15 @@ def _roughly(
     def evaluate(state: tuple[Array, Array, Array, Any]) -> tuple[Array, Array, Array, Any]:
         row, most, rows, told = state
         first = row == 0
-        either = partial(jax.tree.map, partial(jnp.where, first))
+        either = partial(
+            jax.tree.map, lambda one, other: one if one is other else jnp.where(first, one, other)
+        )
         near = jnp.where(first, jnp.nan, told[0])
-        residual, new = values(places[row], either(rod, rough), near)
+        residual, new = values(row_of(places, row), either(rod, rough), near)
         largest = jnp.max(jnp.abs(residual))
         kept = (last.residual < _NEARBY) & (largest < _KEPT * last.residual)
         most = jnp.where(first & ~kept, len(places) - 1, most)
-        return row + 1, most, _put(row, rows, residual), either(new, told)
+        return row + 1, most, with_row(rows, residual, row), either(new, told)
 
     none, nan = jnp.zeros((), dtype=int), jnp.full((), jnp.nan)
     blank = jnp.zeros(places.shape), (nan, jnp.full(3, jnp.nan), nan, nan)
@@ -262,6 +265,10 @@ def _roughly(
     )
     slopes = jnp.where(most > 0, (rows[2:] - rows[1]).T / CHANGE, last.jacobian)
     return slopes, (rows[0], told)
+
+
+def _chosen(first: Array, one: Any, other: Any) -> Any:
+    return one if one is other else jnp.where(first, one, other)
 
 
 def nowhere(scene: Scene, law: Law, *shape: int, fill: float = np.nan) -> Reached:
@@ -361,13 +368,13 @@ def _walk(shared: tuple[Scene, Law, Int[Array, ""]], legs: Legs) -> Steps:
     )
     steps = nothing._replace(mode=jnp.full(size, int(Mode.WAITING)))
     waiting = jnp.asarray(int(Mode.WAITING))
-    begin = jax.tree.map(lambda part: part[legs.start], legs.clamp)
+    begin = row_of(legs.clamp, legs.start)
     none = jnp.zeros(4 + scene.rod.unknowns)
     carry = _Carry(legs.reached, [none] * _ORDERS, jnp.zeros((), dtype=int), waiting)
 
     def advance(index: Array, state: tuple[_Carry, Steps]) -> tuple[_Carry, Steps]:
         carry, row = _advance(scene, law, legs, begin, index, state[0])
-        return carry, jax.tree.map(partial(_put, index), state[1], row)
+        return carry, with_row(state[1], row, index)
 
     walked: tuple[_Carry, Steps] = lax.fori_loop(0, count, advance, (carry, steps))
     return walked[1]
@@ -377,32 +384,23 @@ _trails = lanes(blocks=1, alone=SINGLE, walks=True)(_walk)
 _fans = lanes(walks=True)(_walk)
 
 
-def _put(index: Array, whole: Array, row: Array) -> Array:
-    # An update, not the scatter that `at[index].set` would be.
-    return lax.dynamic_update_index_in_dim(whole, row, index, 0)
-
-
 def _advance(
     scene: Scene, law: Law, legs: Legs, begin: Clamp, index: Array, carry: _Carry
 ) -> tuple[_Carry, Steps]:
-    clamp = jax.tree.map(lambda part: part[index], legs.clamp)
-    clear = legs.clear[index]
+    clamp, clear, met, meeting = row_of(legs[:4], index)
     free, touches = carry.mode == Mode.FREE, carry.mode == Mode.CONTACT
-    entering = free & legs.met[index]
+    entering = free & met
     active = touches | entering
     last = carry.last
     foretold = list(accumulate(carry.differences))
     expected = _expected(law, carry, foretold)
     # The tangential force starts from its last value, as sliding may stop or turn.
     guess = State(expected[:3], expected[3], last.state.lean, expected[4:])
-    meeting = jax.tree.map(lambda part: part[index], legs.meeting)
     guess = jax.tree.map(lambda met, other: jnp.where(entering, met, other), meeting.state, guess)
     before = jax.tree.map(lambda met, other: jnp.where(entering, met, other), meeting, last)
     come_from = [
         jax.tree.map(
-            lambda first, part, k=k: jnp.where(legs.fanned, first, part[jnp.maximum(index - k, 0)]),
-            begin,
-            legs.clamp,
+            partial(jnp.where, legs.fanned), begin, row_of(legs.clamp, jnp.maximum(index - k, 0))
         )
         for k in (1, 2, 3)
     ]

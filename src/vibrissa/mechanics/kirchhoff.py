@@ -57,6 +57,7 @@ from vibrissa.mechanics.section import (
 )
 from vibrissa.numerics.derivatives import by_differences
 from vibrissa.numerics.rotation import turned
+from vibrissa.numerics.rows import row_of, rows_from, with_row
 from vibrissa.numerics.runge_kutta import ORDER_5, ORDER_8, Scheme, error_of_order_8, stepped
 from vibrissa.numerics.vectors import dot, joined
 
@@ -136,8 +137,7 @@ class Unloaded(Free):
 
     def at(self, s: Scalar) -> tuple[Vector, Vector, Vector]:
         """As in `Free`."""
-        point, tangent = self.line.at(s)
-        place, along, bend = map(self._turned, (point, tangent, self.line.bend(s)))
+        place, along, bend = map(self._turned, self.line.curve(s))
         return self.clamp.point + place, along, bend
 
     def _turned(self, vector: Vector) -> Vector:
@@ -161,8 +161,8 @@ class Hanging(Free):
 
     def at(self, s: Scalar) -> tuple[Vector, Vector, Vector]:
         """As in `Free`."""
-        point, tangent = self.line.at(s)
-        return self.clamp.point + point, tangent, self.line.bend(s)
+        point, tangent, bend = self.line.curve(s)
+        return self.clamp.point + point, tangent, bend
 
     @property
     def reactions(self) -> Wrench:
@@ -291,9 +291,9 @@ class Kirchhoff(RodModel):
     def slimmer(self, s: Scalar) -> Scalar:
         """As in `RodModel`."""
         place = place_in(jnp.asarray(self.nodes), s)
-        start, end = self.nodes[place], self.nodes[place + 1]
+        start, end = rows_from(self.nodes, place, 2)
         # Beyond the tip it would go on as before.
-        return 1 - jnp.polyval(self.local.girth[place][::-1], (s - start) / (end - start))
+        return 1 - jnp.polyval(row_of(self.local.girth, place)[::-1], (s - start) / (end - start))
 
     def lateral_stiffness(self, s: Float[Any, "n"]) -> Float[Any, "n"]:
         """As in `RodModel`: (s³/3) / ∫ (s − σ)²/B dσ."""
@@ -417,15 +417,11 @@ class Kirchhoff(RodModel):
 
         def advance(index: Array, state: tuple[State, Any]) -> tuple[State, Any]:
             at, rows = state
-            start, stages = stops[index], jax.tree.map(lambda steps: steps[index], self.stages)
+            (start, end), stages = rows_from(stops, index, 2), row_of(self.stages, index)
             if part is not None:
                 stages = jax.tree.map(partial(jnp.where, index == begin), part, stages)
-            after, *told = self._step(origin, push, at, start, stops[index + 1] - start, stages)
-            return after, jax.tree.map(
-                lambda whole, row: lax.dynamic_update_index_in_dim(whole, row, index, 0),
-                rows,
-                (at, *told),
-            )
+            after, *told = self._step(origin, push, at, start, end - start, stages)
+            return after, with_row(rows, (at, *told), index)
 
         blank = first, jax.tree.map(jnp.zeros_like, first), jnp.zeros(())
         rows = jax.tree.map(lambda part: jnp.broadcast_to(part, (steps, *part.shape)), blank)
@@ -464,9 +460,8 @@ class Kirchhoff(RodModel):
         """The rod at an arc length, by a step from the node before it; straight beyond the tip."""
         line, clamp, push, *_ = inner
         place, step, x = line.between(s)
-        before = jax.tree.map(lambda rows: rows[place], line.states)
-        start = line.nodes[place]
-        stages = at_stages(self._step_at(place), 0.0, x, self.scheme.nodes)
+        before, start, own = row_of((line.states, line.nodes, self.local), place)
+        stages = at_stages(own, 0.0, x, self.scheme.nodes)
         here, *_ = self._step(clamp.point, push, before, start, x * step, stages)
         return here._replace(reach=here.reach + jnp.maximum(s - 1.0, 0.0) * here.tangent)
 
@@ -481,12 +476,8 @@ class Kirchhoff(RodModel):
         stops = jnp.clip(jnp.maximum(inner.line.nodes, s), 0.0, 1.0)
         # Steps before the contact have no length.
         place, _, x = inner.line.between(s)
-        part = at_stages(self._step_at(place), x, 1 - x, self.scheme.nodes)
+        part = at_stages(row_of(self.local, place), x, 1 - x, self.scheme.nodes)
         return self._run(inner.clamp.point, _NO_PUSH, here, stops, place, part)
-
-    def _step_at(self, place: Any) -> Local:
-        step: Local = jax.tree.map(lambda steps: steps[place], self.local)
-        return step
 
     def beyond(self, inner: Inner, s: Scalar) -> Line:
         """The rest of the rod, from the contact at s on: without loads it has its own shape."""
@@ -611,7 +602,7 @@ class Kirchhoff(RodModel):
 
         def at(s: Scalar) -> tuple[Array, ...]:
             place, _, x = inner.line.between(s)
-            own = jax.tree.map(lambda part: part[place], (self.local.bending, self.local.torsion))
+            own = row_of((self.local.bending, self.local.torsion), place)
             stiff = [jnp.polyval(part[::-1], x) for part in own]
             here, push = self._at(inner, s), inner.push
             m, n = push.moment - jnp.cross(here.reach, push.force), push.force
@@ -665,11 +656,7 @@ class Kirchhoff(RodModel):
         )
 
         def put(which: Array, found: Contact) -> Contact:
-            return jax.tree.map(
-                lambda rows, row: lax.dynamic_update_index_in_dim(rows, row, which, 0),
-                found,
-                crossing(which),
-            )
+            return with_row(found, crossing(which), which)
 
         found: Contact = lax.fori_loop(0, jnp.minimum(count, self.candidates), put, none)
         return found
@@ -684,10 +671,11 @@ class Kirchhoff(RodModel):
             return self._loaded_crossings(clamp, push, free)
         line, f = self.line(clamp, push), jnp.sqrt(dot(push.force, push.force))
 
-        def falling(s: Scalar) -> Scalar:
-            at, along = line.at(s)
-            inside = push.moment - jnp.cross(at, push.force)
-            return -dot(jnp.cross(along, push.force), inside) / (f * f)
+        def falling(s: Scalar) -> tuple[Scalar, Scalar]:
+            at, along, bend = line.curve(s)
+            inside, lever = push.moment - jnp.cross(at, push.force), jnp.cross(along, push.force)
+            rate = dot(lever, lever) - dot(jnp.cross(bend, push.force), inside)
+            return -dot(lever, inside) / (f * f), rate / (f * f)
 
         inside = push.moment - jnp.cross(line.reach, push.force)
         slopes = -jnp.sum(jnp.cross(line.tangent, push.force) * inside, 1) / (f * f)
@@ -705,7 +693,8 @@ class Kirchhoff(RodModel):
         gap = jnp.sqrt(dot(inside, inside)) / f
         # From what is interpolated to what is as exact as the nodes.
         step = dot(lever, inside) / (f * dot(lever, lever))
-        s, at, along = s + step, at + step * along, along + step * line.bend(s)
+        *_, bend = line.curve(s)
+        s, at, along = s + step, at + step * along, along + step * bend
         d = push.force / f
         incidence = (1 + dot(along, d)) / 2
         # Where rod and force cross at a small angle, the crossing moves further than the rod.
@@ -742,7 +731,8 @@ class Kirchhoff(RodModel):
         def crossing(which: Any) -> Contact:
             begin = zero(None, line, slopes, which)
             place, _, x = line.between(begin)
-            tail = own[place] + x * (own[place + 1] - own[place])
+            behind, ahead = rows_from(own, place, 2)
+            tail = behind + x * (ahead - behind)
             unknowns = balanced(left, joined(begin, tail))
             here, force, moment, rest = parts(unknowns)
             f, reach = jnp.sqrt(dot(force, force)), here.reach

@@ -5,9 +5,11 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array, lax
 from jaxtyping import Bool, Float, Int
 
+from vibrissa.numerics.rows import row_of, rows_from
 from vibrissa.numerics.vectors import dot
 
 Scalar = Float[Any, ""]
@@ -18,6 +20,21 @@ _CLOSEST_STEPS = 4
 _FARTHEST = 4.0
 """Arc length [L] up to which the straight continuation is searched: noise puts contacts there."""
 _TINY = 1e-300
+
+
+def _quintic() -> Float[np.ndarray, "3 6 6"]:
+    """By which powers of the place in a step give the weights of both ends' values, slopes and
+    bends in a quintic, in its slope and in its bend.
+    """
+    slope = np.diag(np.arange(1.0, 6.0), -1)
+    orders = [np.linalg.matrix_power(slope, order) for order in range(3)]
+    ends = [order @ powers for order in orders for powers in (np.eye(6)[0], np.ones(6))]
+    weights = np.linalg.inv(ends).T
+    # Multiples of a half.
+    return np.stack([np.round(2 * weights) / 2 @ order for order in orders])
+
+
+_QUINTIC = _quintic()
 
 
 class State(NamedTuple):
@@ -55,29 +72,33 @@ class Line(NamedTuple):
         """Unit tangents."""
         return self.states.tangent
 
-    def at(self, s: Scalar) -> tuple[Vector, Vector]:
-        """Point and tangent at an arc length: quintic between nodes, straight beyond the tip."""
+    def curve(self, s: Scalar) -> tuple[Vector, Vector, Vector]:
+        """Point, tangent and its slope t' [1/L] at an arc length: quintic between nodes, straight
+        beyond the tip.
+        """
         place, step, x = self.between(s)
-        values = self._ends(place, step)
-        weights, slopes, _ = _quintic(x)
-        point = sum(w * value for w, value in zip(weights, values, strict=True))
-        slope = sum(w * value for w, value in zip(slopes, values, strict=True))
+        known = self.states.reach, self.states.tangent, self.rates.tangent
+        reach, tangent, bend = rows_from(known, place, 2)
+        ends = jnp.concatenate([reach, step * tangent, step**2 * bend])
+        x2, x3 = x * x, x * x * x
+        powers = jnp.stack([jnp.ones_like(x), x, x2, x3, x2 * x2, x2 * x3])
+        weights = jnp.sum(_QUINTIC * powers, axis=2)
+        point, slope, second = jnp.sum(weights[:, :, None] * ends, axis=1)
         tangent = slope / jnp.sqrt(jnp.maximum(dot(slope, slope), _TINY))
-        return point + jnp.maximum(s - 1.0, 0.0) * tangent, tangent
+        bend = jnp.where(s > 1, 0.0, second / step**2)
+        return point + jnp.maximum(s - 1.0, 0.0) * tangent, tangent, bend
 
-    def bend(self, s: Scalar) -> Vector:
-        """Slope t' of the tangent [1/L] at an arc length."""
-        place, step, x = self.between(s)
-        values, (_, _, seconds) = self._ends(place, step), _quintic(x)
-        return sum(w * value for w, value in zip(seconds, values, strict=True)) / step**2
+    def at(self, s: Scalar) -> tuple[Vector, Vector]:
+        """Point and tangent at an arc length."""
+        point, tangent, _ = self.curve(s)
+        return point, tangent
 
     def along(self, here: State, s: Scalar, step: Scalar) -> State:
         """The state a tiny step further, given at an arc length."""
         place, _, x = self.between(s)
-        rates = jax.tree.map(
-            lambda rows: rows[place] + x * (rows[place + 1] - rows[place]), self.rates
-        )
-        rates = rates._replace(reach=here.tangent, tangent=self.bend(s))
+        behind, ahead = (row_of(self.rates, node) for node in (place, place + 1))
+        rates = jax.tree.map(lambda one, other: one + x * (other - one), behind, ahead)
+        rates = rates._replace(reach=here.tangent, tangent=self.curve(s)[2])
         return jax.tree.map(lambda at, rate: at + step * rate, here, rates)
 
     def carried(self, there: State, here: State) -> "Line":
@@ -97,62 +118,19 @@ class Line(NamedTuple):
         states = states._replace(reach=here.reach + states.reach)
         return self._replace(states=states, rates=moved(self.rates))
 
-    def _ends(self, place: Array, step: Scalar) -> list[Vector]:
-        return [
-            scaled
-            for node in (place, place + 1)
-            for scaled in (
-                self.states.reach[node],
-                step * self.states.tangent[node],
-                step**2 * self.rates.tangent[node],
-            )
-        ]
-
     def between(self, s: Scalar) -> tuple[Array, Scalar, Scalar]:
         """The node before an arc length, the step that begins there, and the place in it."""
         place = place_in(self.nodes, s)
-        step = self.nodes[place + 1] - self.nodes[place]
+        begin, end = rows_from(self.nodes, place, 2)
         # Behind a contact at the tip all nodes are one.
-        whole = jnp.where(step > 0, step, 1.0)
-        return place, step, jnp.clip((s - self.nodes[place]) / whole, 0.0, 1.0)
+        whole = jnp.where(end > begin, end - begin, 1.0)
+        return place, end - begin, jnp.clip((s - begin) / whole, 0.0, 1.0)
 
 
 def place_in(nodes: Float[Array, "nodes"], s: Scalar) -> Int[Array, ""]:
     """The node at which the step begins that holds an arc length, or the last that has a length."""
     last = jnp.maximum(jnp.sum(nodes[:-1] < nodes[-1]) - 1, 0)
     return jnp.minimum(jnp.sum(nodes[1:] <= s), last)
-
-
-def _quintic(x: Scalar) -> tuple[list[Scalar], list[Scalar], list[Scalar]]:
-    """Weights of value, slope and bend at both ends in a quintic, in its slope and in its bend."""
-    x2, x3 = x * x, x * x * x
-    x4, x5 = x2 * x2, x2 * x3
-    return (
-        [
-            1 - 10 * x3 + 15 * x4 - 6 * x5,
-            x - 6 * x3 + 8 * x4 - 3 * x5,
-            (x2 - 3 * x3 + 3 * x4 - x5) / 2,
-            10 * x3 - 15 * x4 + 6 * x5,
-            -4 * x3 + 7 * x4 - 3 * x5,
-            (x3 - 2 * x4 + x5) / 2,
-        ],
-        [
-            -30 * x2 + 60 * x3 - 30 * x4,
-            1 - 18 * x2 + 32 * x3 - 15 * x4,
-            (2 * x - 9 * x2 + 12 * x3 - 5 * x4) / 2,
-            30 * x2 - 60 * x3 + 30 * x4,
-            -12 * x2 + 28 * x3 - 15 * x4,
-            (3 * x2 - 8 * x3 + 5 * x4) / 2,
-        ],
-        [
-            -60 * x + 180 * x2 - 120 * x3,
-            -36 * x + 96 * x2 - 60 * x3,
-            (2 - 18 * x + 36 * x2 - 20 * x3) / 2,
-            60 * x - 180 * x2 + 120 * x3,
-            -24 * x + 84 * x2 - 60 * x3,
-            (6 * x - 24 * x2 + 20 * x3) / 2,
-        ],
-    )
 
 
 def axes_of(at: State) -> tuple[Vector, Vector, Vector]:
@@ -177,9 +155,9 @@ def closest(line: Line, r: Vector, near: Scalar | None = None) -> Scalar:
     given and a number.
     """
 
-    def along(s: Scalar) -> Scalar:
-        at, tangent = line.at(s)
-        return dot(at - r, tangent)
+    def along(s: Scalar) -> tuple[Scalar, Scalar]:
+        at, tangent, bend = line.curve(s)
+        return dot(at - r, tangent), 1 + dot(at - r, bend)
 
     def anywhere() -> Scalar:
         gaps = line.reach - r
@@ -190,7 +168,7 @@ def closest(line: Line, r: Vector, near: Scalar | None = None) -> Scalar:
 
     if near is None:
         return anywhere()
-    found: Scalar = lax.cond(jnp.isnan(near), anywhere, lambda: near - along(near))
+    found: Scalar = lax.cond(jnp.isnan(near), anywhere, lambda: near - along(near)[0])
     return found
 
 
@@ -205,16 +183,16 @@ def across_of(tangent: Vector) -> Vector:
 
 
 def zero(
-    function: Callable[[Scalar], Scalar] | None,
+    function: Callable[[Scalar], tuple[Scalar, Scalar]] | None,
     line: Line,
     values: Float[Array, "nodes"],
     which: Int[Any, ""] | int = 0,
     *,
     allowed: Any = True,
 ) -> Scalar:
-    """Arc length at which a function with given values at the nodes passes from below to above zero
-    for the first time, or for a later one, within an allowed step or beyond the tip; without a
-    function, interpolated. NaN if it does not any more.
+    """Arc length at which a function, given with its rate, and by values at the nodes, passes from
+    below to above zero for the first time, or for a later one, within an allowed step or beyond the
+    tip; without a function, interpolated. NaN if it does not any more.
     """
     values, nodes = lax.stop_gradient((values, line.nodes))
     up = rises(values) & allowed
@@ -222,8 +200,7 @@ def zero(
     place, within = jnp.argmax(up & (count == which + 1)), count[-1] > which
     # The first may also lie beyond the tip, and the last where the function still rises there.
     sought = within | (which == 0) | ((count[-1] == which) & (values[-1] < 0))
-    low, high = values[place], values[place + 1]
-    start, end = nodes[place], nodes[place + 1]
+    (low, high), (start, end) = rows_from((values, nodes), place, 2)
     first = jnp.where(within, start + low / (low - high) * (end - start), 1.0)
     first = jnp.where(sought, first, jnp.nan)
     if function is None:
@@ -233,10 +210,10 @@ def zero(
     least, most = jnp.where(within, start, earliest), jnp.where(within, end, _FARTHEST)
 
     def newton(_: Any, s: Scalar) -> Scalar:
-        value, rate = jax.jvp(function, (s,), (jnp.ones(()),))
+        value, rate = function(s)
         return jnp.clip(s - value / rate, least, most)
 
     s = lax.stop_gradient(lax.fori_loop(0, _CLOSEST_STEPS, newton, first))
-    value, rate = jax.jvp(function, (s,), (jnp.ones(()),))
+    value, rate = function(s)
     s = s - value / lax.stop_gradient(rate)
     return jnp.where(within | (s >= earliest), s, jnp.nan)

@@ -8,6 +8,8 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jaxtyping import Float, Int
 
+from vibrissa.numerics.rows import row_of, with_row
+
 Scalar = Float[Any, ""]
 Value = TypeVar("Value")
 Told = TypeVar("Told")
@@ -55,13 +57,8 @@ def by_differences(
     def put(index: Array, so_far: tuple[Value, Told]) -> tuple[Value, Told]:
         # Backwards, so that what is told at x itself comes last.
         row = last - index
-        value, told = function(places[row])
-        rows = jax.tree.map(
-            lambda rows, part: lax.dynamic_update_index_in_dim(rows, part, row, 0),
-            so_far[0],
-            value,
-        )
-        return rows, told
+        value, told = function(row_of(places, row))
+        return with_row(so_far[0], value, row), told
 
     value, told = jax.tree.map(
         lambda part: jnp.zeros(part.shape, part.dtype), jax.eval_shape(function, x)

@@ -7,13 +7,14 @@ coefficients from SciPy.
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 from scipy.integrate import DOP853, RK45
+
+from vibrissa.numerics.rows import row_of, with_row
 
 Scalar = Float[Any, ""]
 State = TypeVar("State")
@@ -66,11 +67,10 @@ def stepped(
     begin, state_of = ravel_pytree(at)
 
     def stage(index: Array, slopes: Array) -> Array:
-        own = jax.tree.map(lambda part: part[index], stages)
-        here = state_of(begin + h * _sum(jnp.asarray(scheme.stages)[index], slopes))
-        s = start + h * jnp.asarray(scheme.nodes)[index]
-        row, _ = ravel_pytree(slope(s, here, own))
-        return lax.dynamic_update_index_in_dim(slopes, row, index, 0)
+        own, weights, node = row_of((stages, scheme.stages, scheme.nodes), index)
+        here = state_of(begin + h * _sum(weights, slopes))
+        row, _ = ravel_pytree(slope(start + h * node, here, own))
+        return with_row(slopes, row, index)
 
     # A loop, not a sequence: a fifth of the time to compile, and no slower.
     slopes = lax.fori_loop(0, scheme.count, stage, jnp.zeros((_MOST, begin.size)))

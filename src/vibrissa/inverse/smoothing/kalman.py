@@ -11,7 +11,6 @@ process) and d by white noise:
 """
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any, NamedTuple, TypeVar
 
 import jax
@@ -23,6 +22,7 @@ from jaxtyping import Float, Int
 from vibrissa.inverse.smoothing.manifold import AT_REST, COORDINATES
 from vibrissa.numerics.compiled import compiled
 from vibrissa.numerics.lanes import lanes
+from vibrissa.numerics.rows import row_of, with_row
 
 WRENCH = 6
 ROWS = WRENCH + 2
@@ -201,10 +201,8 @@ def scanned(
 
     def step(number: Array, state: Any) -> Any:
         index = count - 1 - number if back else number
-        row = jax.tree.map(lambda part: lax.dynamic_index_in_dim(part, index, keepdims=False), rows)
-        after, told = one(state[0], row)
-        put = partial(lax.dynamic_update_index_in_dim, index=index, axis=0)
-        return after, jax.tree.map(put, state[1], told)
+        after, told = one(state[0], row_of(rows, index))
+        return after, with_row(state[1], told, index)
 
     _, told = jax.eval_shape(jax.vmap(one, (None, 0)), carry, rows)
     return lax.fori_loop(0, count, step, (carry, jax.tree.map(jnp.zeros_like, told)))

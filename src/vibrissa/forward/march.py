@@ -267,10 +267,6 @@ def _roughly(
     return slopes, (rows[0], told)
 
 
-def _chosen(first: Array, one: Any, other: Any) -> Any:
-    return one if one is other else jnp.where(first, one, other)
-
-
 def nowhere(scene: Scene, law: Law, *shape: int, fill: float = np.nan) -> Reached:
     """Stands for what is reached where there is no contact."""
 

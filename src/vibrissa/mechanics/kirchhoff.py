@@ -48,10 +48,10 @@ from vibrissa.mechanics.section import (
     QUADRATURE,
     Local,
     Stage,
+    Steps,
     at_stages,
     fitted,
     graded,
-    halved,
     padded,
     stage_of,
 )
@@ -175,38 +175,17 @@ class Hanging(Free):
         return self.line.states.energy[-1]
 
 
-class Division(NamedTuple):
-    """A rod in steps, as in `Kirchhoff`; those that are left over have no length."""
-
-    nodes: Float[Any, "nodes"]
-    local: Local
-    scheme: Scheme
-    stages: Stage
-
-    @classmethod
-    def of(cls, nodes: Array, local: Local, scheme: Scheme = ORDER_8) -> "Division":
-        """With stages."""
-        each = jax.vmap(lambda step: at_stages(step, 0.0, 1.0, scheme.nodes))
-        return cls(nodes, local, scheme, each(local))
-
-
 class Kirchhoff(RodModel):
     """A rod of varying section and rest shape, in units of its stiffness at the clamp."""
 
-    nodes: Float[Any, "nodes"]
-    """Arc lengths [L] at which steps begin and end."""
-    local: Local
-    """Polynomials (steps, 5, …) in each step."""
-    scheme: Scheme
-    stages: Stage
-    """At the stages of each step (steps, k, …)."""
+    steps: Steps
     load: Load | None = None
     compliance: Float[Any, "6 6"] | None = None
     """Of the support, clamp axes: displacement [L] and rotation vector under force [EI/L²] and
     moment [EI/L].
     """
 
-    roughly: "Division | None" = None
+    roughly: Steps | None = None
     """Fewer and cheaper steps."""
     unloaded: Line | None = None
     """The rod's own shape, seen from an unmoved clamp, where nothing but a contact loads it."""
@@ -247,14 +226,14 @@ class Kirchhoff(RodModel):
         nodes = jnp.linspace(0, 1, STEPS + 1) if nodes is None else jnp.asarray(nodes)
         given = (bending, torsion, rest, girth, loaded)
 
-        def polynomials(nodes: Array) -> Local:
-            return Local(*(None if of is None else fitted(of, nodes) for of in given))
+        def divided(nodes: Array, scheme: Scheme, count: int) -> Steps:
+            local = Local(*(None if of is None else fitted(of, nodes) for of in given))
+            return Steps.of(*padded(nodes, local, count), scheme)
 
-        steps = len(nodes) - 1
-        few = np.linspace(0, steps, math.ceil(steps / _ROUGHLY) + 1).round().astype(int)
-        roughly = padded(nodes[few], polynomials(nodes[few]), steps)
-        own = Division.of(nodes, polynomials(nodes))
-        rod = cls(*own, load, compliance, roughly=Division.of(*roughly, ORDER_5))
+        count = len(nodes) - 1
+        few = np.linspace(0, count, math.ceil(count / _ROUGHLY) + 1).round().astype(int)
+        steps, fewer = divided(nodes, ORDER_8, count), divided(nodes[few], ORDER_5, count)
+        rod = cls(steps, load, compliance, roughly=fewer)
         return rod if load is not None else replace(rod, unloaded=rod.own_shape)
 
     @classmethod
@@ -286,20 +265,22 @@ class Kirchhoff(RodModel):
     @property
     def uniform(self) -> bool:
         """As in `RodModel`."""
-        return self.local.girth is None
+        return self.steps.local.girth is None
 
     def slimmer(self, s: Scalar) -> Scalar:
         """As in `RodModel`."""
-        place = place_in(jnp.asarray(self.nodes), s)
-        start, end = rows_from(self.nodes, place, 2)
+        nodes, local, *_ = self.steps
+        place = place_in(jnp.asarray(nodes), s)
+        start, end = rows_from(nodes, place, 2)
         # Beyond the tip it would go on as before.
-        return 1 - jnp.polyval(row_of(self.local.girth, place)[::-1], (s - start) / (end - start))
+        return 1 - jnp.polyval(row_of(local.girth, place)[::-1], (s - start) / (end - start))
 
     def lateral_stiffness(self, s: Float[Any, "n"]) -> Float[Any, "n"]:
         """As in `RodModel`: (s³/3) / ∫ (s − σ)²/B dσ."""
-        h = jnp.diff(self.nodes)
-        place = (self.nodes[:-1, None] + h[:, None] * POINTS).ravel()
-        bending = jnp.einsum("sj,ij->si", self.local.bending, np.vander(POINTS, increasing=True))
+        nodes, local, *_ = self.steps
+        h = jnp.diff(nodes)
+        place = (nodes[:-1, None] + h[:, None] * POINTS).ravel()
+        bending = jnp.einsum("sj,ij->si", local.bending, np.vander(POINTS, increasing=True))
         weight = (h[:, None] * QUADRATURE).ravel() / bending.ravel()
         lever = jnp.clip(s[:, None], 1e-3, 1.0) - place
         own = jnp.sum(weight * jnp.maximum(lever, 0.0) ** 2, axis=1)
@@ -309,7 +290,7 @@ class Kirchhoff(RodModel):
     @property
     def rough(self) -> "Kirchhoff | None":
         """As in `RodModel`."""
-        return None if self.roughly is None else replace(self, **self.roughly._asdict())
+        return None if self.roughly is None else replace(self, steps=self.roughly)
 
     @property
     def derivatives(self) -> Callable[..., Any]:
@@ -319,10 +300,7 @@ class Kirchhoff(RodModel):
     @property
     def finer(self) -> "Kirchhoff":
         """As in `RodModel`."""
-        half = self.nodes[:-1] + jnp.diff(self.nodes) / 2
-        nodes = jnp.append(jnp.stack([self.nodes[:-1], half], 1).ravel(), self.nodes[-1])
-        own = Division.of(nodes, halved(self.local))
-        return Kirchhoff(*own, self.load, self.compliance, divided=self)
+        return Kirchhoff(self.steps.halved, self.load, self.compliance, divided=self)
 
     def base(self, clamp: Clamp, wrench: Wrench) -> State:
         """The rod where its support has yielded to force and moment about the clamp point, without
@@ -337,7 +315,7 @@ class Kirchhoff(RodModel):
                 sum(yields[first + i] * axis for i, axis in enumerate(axes)) for first in (0, 3)
             )
             tangent, across = turned(angle, tangent), turned(angle, across)
-        curved = self.local.rest is not None
+        curved = self.steps.local.rest is not None
         return State(reach, tangent, jnp.zeros(()), across if curved else None)
 
     def _slope(
@@ -382,7 +360,7 @@ class Kirchhoff(RodModel):
             start,
             h,
             stages,
-            self.scheme,
+            self.steps.scheme,
         )
         # Reach and tangent come first.
         return after, first, error_of_order_8(h, slopes[:, :6])
@@ -397,7 +375,7 @@ class Kirchhoff(RodModel):
         if load is not None:
             moment = load[3:] - jnp.cross(first.reach, load[:3])
             first = first._replace(load=joined(load[:3], moment))
-        return self._run(clamp.point, push, first, jnp.asarray(self.nodes))
+        return self._run(clamp.point, push, first, jnp.asarray(self.steps.nodes))
 
     def _run(
         self,
@@ -412,12 +390,12 @@ class Kirchhoff(RodModel):
         begins behind them, at its beginning, where rates are not known. Of the first step there may
         be only a part, whose stages are given.
         """
-        steps = len(self.nodes) - 1
-        count = jnp.sum(self.nodes[:-1] < self.nodes[-1])
+        steps = len(self.steps.nodes) - 1
+        count = jnp.sum(self.steps.nodes[:-1] < self.steps.nodes[-1])
 
         def advance(index: Array, state: tuple[State, Any]) -> tuple[State, Any]:
             at, rows = state
-            (start, end), stages = rows_from(stops, index, 2), row_of(self.stages, index)
+            (start, end), stages = rows_from(stops, index, 2), row_of(self.steps.stages, index)
             if part is not None:
                 stages = jax.tree.map(partial(jnp.where, index == begin), part, stages)
             after, *told = self._step(origin, push, at, start, end - start, stages)
@@ -426,7 +404,7 @@ class Kirchhoff(RodModel):
         blank = first, jax.tree.map(jnp.zeros_like, first), jnp.zeros(())
         rows = jax.tree.map(lambda part: jnp.broadcast_to(part, (steps, *part.shape)), blank)
         last, (states, rates, errors) = lax.fori_loop(begin, count, advance, (first, rows))
-        tip = jax.tree.map(lambda part: jnp.sum(part[-1], axis=0), self.local)
+        tip = jax.tree.map(lambda part: jnp.sum(part[-1], axis=0), self.steps.local)
         end = last, self._slope(origin, push, stops[-1], last, stage_of(tip))
         done = jnp.arange(steps) < count
 
@@ -441,7 +419,7 @@ class Kirchhoff(RodModel):
         """Elastic curvature [1/L] at the nodes."""
         m = jax.vmap(lambda at: _moment(push, at))(line.states)
         across = jnp.cross(m, line.tangent)
-        bending = jnp.append(self.local.bending[:, 0], jnp.sum(self.local.bending[-1]))
+        bending = jnp.append(self.steps.local.bending[:, 0], jnp.sum(self.steps.local.bending[-1]))
         return jnp.sqrt(jnp.sum(across**2, axis=1) + _TINY) / bending
 
     def _error_at(self, inner: "Inner", s: Scalar) -> Scalar:
@@ -460,8 +438,8 @@ class Kirchhoff(RodModel):
         """The rod at an arc length, by a step from the node before it; straight beyond the tip."""
         line, clamp, push, *_ = inner
         place, step, x = line.between(s)
-        before, start, own = row_of((line.states, line.nodes, self.local), place)
-        stages = at_stages(own, 0.0, x, self.scheme.nodes)
+        before, start, own = row_of((line.states, line.nodes, self.steps.local), place)
+        stages = at_stages(own, 0.0, x, self.steps.scheme.nodes)
         here, *_ = self._step(clamp.point, push, before, start, x * step, stages)
         return here._replace(reach=here.reach + jnp.maximum(s - 1.0, 0.0) * here.tangent)
 
@@ -476,7 +454,7 @@ class Kirchhoff(RodModel):
         stops = jnp.clip(jnp.maximum(inner.line.nodes, s), 0.0, 1.0)
         # Steps before the contact have no length.
         place, _, x = inner.line.between(s)
-        part = at_stages(row_of(self.local, place), x, 1 - x, self.scheme.nodes)
+        part = at_stages(row_of(self.steps.local, place), x, 1 - x, self.steps.scheme.nodes)
         return self._run(inner.clamp.point, _NO_PUSH, here, stops, place, part)
 
     def beyond(self, inner: Inner, s: Scalar) -> Line:
@@ -572,8 +550,8 @@ class Kirchhoff(RodModel):
         """As in `RodModel`: the largest at a node."""
         line = bent.inner.line
         at = self._strain(line, bent.inner.push)
-        if self.local.girth is not None:
-            girth = self.local.girth
+        if self.steps.local.girth is not None:
+            girth = self.steps.local.girth
             at = at * jnp.append(girth[:, 0], jnp.sum(girth[-1]))
         return jnp.max(jnp.where(line.nodes <= bent.arc_length + _ROUNDING, at, 0.0))
 
@@ -602,7 +580,7 @@ class Kirchhoff(RodModel):
 
         def at(s: Scalar) -> tuple[Array, ...]:
             place, _, x = inner.line.between(s)
-            own = row_of((self.local.bending, self.local.torsion), place)
+            own = row_of((self.steps.local.bending, self.steps.local.torsion), place)
             stiff = [jnp.polyval(part[::-1], x) for part in own]
             here, push = self._at(inner, s), inner.push
             m, n = push.moment - jnp.cross(here.reach, push.force), push.force
@@ -627,7 +605,7 @@ class Kirchhoff(RodModel):
     @property
     def candidates(self) -> int:
         """As in `RodModel`: a straight rod would have to be bent to and fro to have several."""
-        return 1 if self.local.rest is None else _CANDIDATES
+        return 1 if self.steps.local.rest is None else _CANDIDATES
 
     @_traced_once
     def contact(

@@ -1,6 +1,7 @@
 """The section and rest shape of a rod as polynomials in each of its steps."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -8,6 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jaxtyping import Float
+
+from vibrissa.numerics.runge_kutta import Scheme
 
 Scalar = Float[Any, ""]
 
@@ -101,6 +104,33 @@ def stage_of(local: Local) -> Stage:
     """What a slope depends on, from the rod there."""
     soft = 1 / local.bending
     return Stage(soft, 1 / local.torsion - soft, local.rest, local.loaded)
+
+
+class Steps(NamedTuple):
+    """A rod in steps; those that are left over have no length."""
+
+    nodes: Float[Any, "nodes"]
+    """Arc lengths [L] at which steps begin and end."""
+    local: Local
+    """Polynomials (steps, 5, …) in each step."""
+    scheme: Scheme
+    stages: Stage
+    """At the stages of each step (steps, k, …)."""
+
+    @classmethod
+    def of(cls, nodes: Array, local: Local, scheme: Scheme) -> "Steps":
+        """With stages."""
+        stages: Stage = jax.vmap(partial(at_stages, start=0.0, width=1.0, nodes=scheme.nodes))(
+            local
+        )
+        return cls(nodes, local, scheme, stages)
+
+    @property
+    def halved(self) -> "Steps":
+        """The same with steps of half the length."""
+        half = self.nodes[:-1] + jnp.diff(self.nodes) / 2
+        nodes = jnp.append(jnp.stack([self.nodes[:-1], half], 1).ravel(), self.nodes[-1])
+        return Steps.of(nodes, halved(self.local), self.scheme)
 
 
 def graded(taper: Scalar, steps: int) -> Float[Any, "nodes"]:

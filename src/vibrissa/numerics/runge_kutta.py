@@ -29,7 +29,7 @@ class Scheme(NamedTuple):
     count: Any
 
 
-_MOST = len(DOP853.B)
+_FEW, _MOST = len(RK45.B), len(DOP853.B)
 
 
 def _scheme(a: np.ndarray, c: np.ndarray, b: np.ndarray) -> Scheme:
@@ -68,7 +68,13 @@ def stepped(
 
     def stage(index: Array, slopes: Array) -> Array:
         own, weights, node = row_of((stages, scheme.stages, scheme.nodes), index)
-        here = state_of(begin + h * _sum(weights, slopes))
+        # At first there are few: all that a method of order 5 has.
+        before = lax.cond(
+            index <= _FEW,
+            lambda: _sum(weights[:_FEW], slopes[:_FEW]),
+            lambda: _sum(weights, slopes),
+        )
+        here = state_of(begin + h * before)
         row, _ = ravel_pytree(slope(start + h * node, here, own))
         return with_row(slopes, row, index)
 

@@ -275,7 +275,7 @@ def buckling_load(rod: Kirchhoff, near: float) -> float:
             tip = tip + jnp.array([0.0, 0.0, 1.0])
             return rod.line(AT_ORIGIN, Push(push, jnp.cross(tip, push))).reach[-1, 0] - aside
 
-        return jax.grad(gap)(jnp.zeros(()))
+        return jax.jacfwd(gap)(jnp.zeros(()))
 
     return float(brentq(lambda load: float(stiffness(load)), 0.7 * near, 1.3 * near, xtol=1e-13))
 
@@ -333,7 +333,7 @@ def critical_weight(rod: vb.Rod, near: float) -> float:
             base = base + jnp.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0]) * moment
             return heavy.line(AT_ORIGIN, Push(jnp.zeros(3), jnp.zeros(3)), base).states.load[-1, 4]
 
-        return jax.grad(tip)(jnp.zeros(()))
+        return jax.jacfwd(tip)(jnp.zeros(()))
 
     x, share = np.polynomial.legendre.leggauss(8)
     total = float(share @ np.asarray(rod.linear_density_at((1 + x) / 2))) / 2

@@ -47,14 +47,12 @@ def rough() -> Both:
     return scanned(0.3)
 
 
-def off(found: object, expected: object, rows: np.ndarray | None = None) -> dict[str, float]:
-    """Largest difference in each field of two results, of contacts in some rows, relative to the
-    field's largest number if that exceeds 1; integers and NaN must be the same.
+def off(found: object, expected: object) -> dict[str, float]:
+    """Largest difference in each field of two results, relative to the field's largest number if
+    that exceeds 1; integers and NaN must be the same.
     """
-    rows = np.ones(TRAILS.shape, dtype=bool) if rows is None else rows
     largest = {}
-    for name, *both in arrays(found, expected):
-        ours, theirs = (part[rows] for part in both)
+    for name, ours, theirs in arrays(found, expected):
         if ours.dtype.kind in "ib":
             np.testing.assert_array_equal(ours, theirs, err_msg=name)
             continue
@@ -84,44 +82,22 @@ def assert_close(errors: dict[str, float]) -> None:
     assert {name: size for name, size in errors.items() if size > CLOSE} == {}
 
 
-def test_scans_without_friction_agree_in_every_field_and_event(smooth: Both) -> None:
-    errors = off(*smooth)
+@pytest.mark.parametrize("friction", ["smooth", "rough"])
+def test_scans_agree_in_every_field_and_event(
+    friction: str, request: pytest.FixtureRequest
+) -> None:
+    """With friction too, whose history begins where the contact does."""
+    both: Both = request.getfixturevalue(friction)
+    errors = off(*both)
     assert len(errors) == 15
     assert_close(errors)
-    assert np.count_nonzero(smooth[0].in_contact) > 80
-    first, second = (scan.events for scan in smooth)
+    assert np.count_nonzero(both[0].in_contact) > 80
+    first, second = (scan.events for scan in both)
     assert [at.kind for at in first] == [at.kind for at in second]
     for ours, theirs in zip(first, second, strict=True):
         np.testing.assert_allclose(ours.parameter, theirs.parameter, atol=CLOSE)
         np.testing.assert_allclose(ours.point, theirs.point, atol=CLOSE)
         np.testing.assert_allclose(ours.clamp, theirs.clamp, atol=CLOSE)
-
-
-def test_scans_with_friction_agree_where_contact_begins_alike(rough: Both) -> None:
-    """Whether a contact sticks for the first 1e-8 L is up to rounding. Where it does for one solver
-    alone, the direction of friction differs by as much as the trail's steps are coarse, and less and
-    less along the trail.
-    """
-    alike = []
-    for trail in range(TRAILS.shape[0]):
-        ours, theirs = ([at for at in s.events if at.trail == trail] for s in rough)
-        kinds = [at.kind for at in ours]
-        alike.append(kinds == [at.kind for at in theirs])
-        rest = [
-            [at for at in part if at.kind != vb.EventKind.STICK_TO_SLIP] for part in (ours, theirs)
-        ]
-        assert [at.kind for at in rest[0]] == [at.kind for at in rest[1]]
-    assert any(alike)
-    assert_close(off(*rough, rows=np.repeat(np.array(alike)[:, None], TRAILS.count, axis=1)))
-    everywhere = off(*rough)
-    assert everywhere["force_direction"] < 5e-3
-    assert max(size for name, size in everywhere.items() if name not in LEANING) < 1e-4
-    later = np.indices(TRAILS.shape)[1] > TRAILS.count * 0.6
-    assert_close(off(*rough, rows=later))
-
-
-LEANING = ("force", "moment", "force_direction", "plane_normal")
-"""Fields that the direction of friction changes by first order."""
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.3])

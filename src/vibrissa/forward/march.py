@@ -109,6 +109,10 @@ the rod's own.
 """
 SHARP = 1e-13
 """The same for an event, whose figure is computed before the last step: what rounding leaves."""
+_HARDLY = 1e-6
+"""Force [EI/L²] from which Newton's method starts with friction where a contact begins: no force has
+no direction. From 1e-3 to 1e-8 it leads to the same contact.
+"""
 JUMP, JUMP_FLOOR = 8.0, 0.02
 """A contact that moves farther [L] than this many times the clamp's motion, plus a floor, has
 jumped: before a smooth change of phase it may move several times as fast as the clamp.
@@ -393,6 +397,8 @@ def _advance(
     # The tangential force starts from its last value, as sliding may stop or turn.
     guess = State(expected[:3], expected[3], last.state.lean, expected[4:])
     guess = jax.tree.map(lambda met, other: jnp.where(entering, met, other), meeting.state, guess)
+    if not law.branch:
+        guess = guess._replace(force=jnp.where(guess.force == 0, _HARDLY, guess.force))
     before = jax.tree.map(lambda met, other: jnp.where(entering, met, other), meeting, last)
     come_from = [
         jax.tree.map(

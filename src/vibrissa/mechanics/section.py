@@ -89,13 +89,12 @@ class Stage(NamedTuple):
 def at_stages(polynomials: Local, start: Any, width: Any, nodes: Float[Any, "k"]) -> Stage:
     """Polynomials (5, …) of one step at the stages (k, …) of a part of it."""
     x = start + width * nodes
+    square = x * x
+    powers = jnp.stack([jnp.ones_like(x), x, square, x * square, square * square], axis=1)
 
     def at(coefficients: Array) -> Array:
-        along = x.reshape(-1, *(1,) * (coefficients.ndim - 1))
-        *lower, total = coefficients
-        for coefficient in reversed(lower):
-            total = total * along + coefficient
-        return total
+        each = powers.reshape(*powers.shape, *(1,) * (coefficients.ndim - 1))
+        return jnp.sum(each * coefficients, axis=1)
 
     return stage_of(jax.tree.map(at, polynomials))
 

@@ -110,8 +110,8 @@ the rod's own.
 SHARP = 1e-13
 """The same for an event, whose figure is computed before the last step: what rounding leaves."""
 _HARDLY = 1e-6
-"""Force [EI/L²] from which Newton's method starts with friction where a contact begins: no force has
-no direction. From 1e-3 to 1e-8 it leads to the same contact.
+"""Force [EI/L²] from which Newton's method starts with friction where a contact begins, as no force
+has no direction: anything from 1e-8 to 1e-3 leads to the same contact.
 """
 JUMP, JUMP_FLOOR = 8.0, 0.02
 """A contact that moves farther [L] than this many times the clamp's motion, plus a floor, has

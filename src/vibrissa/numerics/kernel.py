@@ -20,9 +20,9 @@ Result = TypeVar("Result")
 _PATIENCE = 1.0
 """Compile time [s] after which a message is shown on a terminal."""
 _told = threading.Lock()
-_WORTH = 1.0
-"""Time [s] for which code runs that was compiled quickly, before it is compiled well: that takes
-one to three.
+_WORTH = 0.3
+"""Time [s] for which code runs that was compiled quickly, before it is compiled well: of two sweeps
+or of a batch. That takes one to three seconds.
 """
 _LARGE = 1 << 18
 """So many numbers among its arguments keep a single call busy for longer than that."""

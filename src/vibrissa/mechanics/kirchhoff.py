@@ -191,6 +191,7 @@ class Kirchhoff(RodModel):
     """The rod's own shape, seen from an unmoved clamp, where nothing but a contact loads it."""
     divided: "Kirchhoff | None" = None
     """The rod whose steps were halved to get this one."""
+
     accuracy: ClassVar[float] = 1e-8
     last_step: ClassVar[float] = 1e-8
     """As in `RodModel`: even on a thin whisker, whose rougher rod gives two digits of a derivative,

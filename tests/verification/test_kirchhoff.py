@@ -1,6 +1,7 @@
 """The spatial rod model against the closed form, and against SciPy's integrator."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +16,8 @@ from vibrissa.contact import FRICTIONLESS, Scene, State, touching
 from vibrissa.mechanics.elastica import Elastica
 from vibrissa.mechanics.kirchhoff import Kirchhoff, Push
 from vibrissa.mechanics.model import Clamp
+from vibrissa.mechanics.models import spatial
+from vibrissa.mechanics.section import Steps
 
 AXIS = jnp.array([0.0, 0.0, 1.0])
 BOWL = vb.surfaces.EllipticParaboloid(a=0.5, b=1.0, h=0.4)
@@ -198,3 +201,35 @@ def test_steps_graded_as_the_radius_resolve_a_thin_tip() -> None:
     )
     np.testing.assert_allclose(found.reach, tip, atol=1e-8)
     np.testing.assert_allclose(found.arc_length, 1, atol=1e-8)
+
+
+HEAVY = vb.Rod.tapered(
+    length=0.05, base_radius=0.25e-3, tip_radius=0.1e-3, youngs_modulus=2e9, density=7850
+).curved(vb.RestShape.arc(0.1, roll=0.7))
+
+
+@pytest.mark.parametrize("rod", [HEAVY, HEAVY.loaded(vb.Loads(gravity=(0, 0, -9.81)))])
+@pytest.mark.parametrize("reach", [0.6, 0.99, 1.02])
+def test_steps_without_length_change_nothing(rod: vb.Rod, reach: float) -> None:
+    """The rougher rod, with as many steps as the rod itself of which most have no length, against
+    one of its true steps alone: a force before, close to and beyond the tip, resultants of the load
+    at the clamp that leave something at the tip, and the thickness there.
+    """
+    whole = spatial(rod).rough
+    steps = int(np.sum(whole.steps.nodes[:-1] < 1))
+    assert steps < len(whole.steps.nodes) - 1
+    nodes = whole.steps.nodes[: steps + 1]
+    local = jax.tree.map(lambda part: part[:steps], whole.steps.local)
+    alone = replace(whole, steps=Steps.of(nodes, local, whole.steps.scheme))
+    own = jnp.array([0.0, 0.0, -0.2, 0.01, -0.02, 0.0]) if whole.loaded else ()
+    free = alone.line(ORIGIN, Push(jnp.zeros(3), jnp.zeros(3)), own if whole.loaded else None)
+    point = free.at(reach)[0] + jnp.array([0.02, 0.01, 0.0])
+
+    def bent(model: Kirchhoff) -> tuple[jax.Array, ...]:
+        found = model.bent(ORIGIN, point, 0.3, jnp.array([0.6, 0.0, -0.8]), own)
+        tip = model.beyond(found.inner, found.arc_length)
+        thin = model.slimmer(found.arc_length)
+        return found.misses, found.arc_length, tip.reach[-1], model.tangent(found), thin
+
+    for ours, theirs in zip(*map(jax.jit(bent), (whole, alone)), strict=True):
+        np.testing.assert_allclose(ours, theirs, atol=1e-14)

@@ -76,22 +76,28 @@ class Line(NamedTuple):
         """Point, tangent and its slope t' [1/L] at an arc length: quintic between nodes, straight
         beyond the tip.
         """
-        place, step, x = self.between(s)
-        known = self.states.reach, self.states.tangent, self.rates.tangent
-        reach, tangent, bend = rows_from(known, place, 2)
-        ends = jnp.concatenate([reach, step * tangent, step**2 * bend])
-        x2, x3 = x * x, x * x * x
-        powers = jnp.stack([jnp.ones_like(x), x, x2, x3, x2 * x2, x2 * x3])
-        weights = jnp.sum(_QUINTIC * powers, axis=2)
-        point, slope, second = jnp.sum(weights[:, :, None] * ends, axis=1)
+        point, slope, second = self._quintic(s, 3)
+        _, step, _ = self.between(s)
         tangent = slope / jnp.sqrt(jnp.maximum(dot(slope, slope), _TINY))
         bend = jnp.where(s > 1, 0.0, second / step**2)
         return point + jnp.maximum(s - 1.0, 0.0) * tangent, tangent, bend
 
     def at(self, s: Scalar) -> tuple[Vector, Vector]:
         """Point and tangent at an arc length."""
-        point, tangent, _ = self.curve(s)
-        return point, tangent
+        point, slope = self._quintic(s, 2)
+        tangent = slope / jnp.sqrt(jnp.maximum(dot(slope, slope), _TINY))
+        return point + jnp.maximum(s - 1.0, 0.0) * tangent, tangent
+
+    def _quintic(self, s: Scalar, orders: int) -> Float[Array, "orders 3"]:
+        """Value, slope and bend in a step, or the first of them."""
+        place, step, x = self.between(s)
+        known = self.states.reach, self.states.tangent, self.rates.tangent
+        reach, tangent, bend = rows_from(known, place, 2)
+        ends = jnp.concatenate([reach, step * tangent, step**2 * bend])
+        x2, x3 = x * x, x * x * x
+        powers = jnp.stack([jnp.ones_like(x), x, x2, x3, x2 * x2, x2 * x3])
+        weights = jnp.sum(_QUINTIC[:orders] * powers, axis=2)
+        return jnp.sum(weights[:, :, None] * ends, axis=1)
 
     def along(self, here: State, s: Scalar, step: Scalar) -> State:
         """The state a tiny step further, given at an arc length."""

@@ -27,22 +27,6 @@ def test_a_cache_that_has_become_too_large_loses_its_older_half(
     compiled._shrink(tmp_path / "missing")
 
 
-class Logged:
-    """What was compiled, and whether well."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.calls: list[str] = []
-
-        def compiled(function: Any, *, alone: bool, quick: bool = False) -> Any:
-            def call(*arguments: Any) -> Any:
-                self.calls.append("quick" if quick else "well")
-                return function(*arguments)
-
-            return call
-
-        monkeypatch.setattr(kernel, "compiled", compiled)
-
-
 def test_what_runs_for_long_is_compiled_well(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -50,7 +34,16 @@ def test_what_runs_for_long_is_compiled_well(
     monkeypatch.setattr(kernel, "is_marked", lambda name: (tmp_path / name).exists())
     monkeypatch.setattr(kernel, "mark", lambda name: (tmp_path / name).touch())
     monkeypatch.setattr(kernel, "_WORTH", 0.05)
-    logged = Logged(monkeypatch)
+    calls = []
+
+    def compiled(function: Any, *, alone: bool, quick: bool = False) -> Any:
+        def call(*arguments: Any) -> Any:
+            calls.append("quick" if quick else "well")
+            return function(*arguments)
+
+        return call
+
+    monkeypatch.setattr(kernel, "compiled", compiled)
 
     def slow(row: tuple[Any, ...]) -> float:
         time.sleep(0.03)
@@ -60,8 +53,8 @@ def test_what_runs_for_long_is_compiled_well(
     # The first call of each shape, which compiles it, does not count.
     for row in [(1.0,)] * 5 + [(np.zeros(2),)]:
         first(row)
-    assert logged.calls == ["quick"] * 3 + ["well"] * 3
-    logged.calls.clear()
+    assert calls == ["quick"] * 3 + ["well"] * 3
+    calls.clear()
 
     again = kernel.Kernel(slow, alone=True)
     again((1.0,))
@@ -70,7 +63,7 @@ def test_what_runs_for_long_is_compiled_well(
     with kernel.compiled_well():
         again((1.0, 2.0, 3.0))
     again((1.0, 2.0, 3.0))
-    assert logged.calls == ["well", "quick", "well", "well", "well"]
-    logged.calls.clear()
+    assert calls == ["well", "quick", "well", "well", "well"]
+    calls.clear()
     kernel.Kernel(slow, alone=False)((1.0, 2.0, 3.0, 4.0))
-    assert logged.calls == ["well"]
+    assert calls == ["well"]

@@ -243,9 +243,9 @@ def _once(
 def _roughly(
     rod: RodModel, rough: RodModel, values: Callable[..., Any], last: Found, x: Unknowns
 ) -> tuple[Array, tuple[Unknowns, Any]]:
-    """Conditions on a rod and what they tell, and slopes: differences of those on the rougher one
-    near the same contact, or those of the last step. In one loop: the code of rods takes longest to
-    compile.
+    """Slopes (k, k) at x (k,), and the conditions (k,) on a rod with what they tell: differences of
+    those on the rougher one near the same contact, or the slopes of the last step. In one loop: the
+    code of rods takes longest to compile.
     """
     places = jnp.concatenate([x[None], x + CHANGE * jnp.eye(len(x) + 1, len(x), -1)])
 

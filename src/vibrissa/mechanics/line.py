@@ -76,17 +76,13 @@ class Line(NamedTuple):
         """Point, tangent and its slope t' [1/L] at an arc length: quintic between nodes, straight
         beyond the tip.
         """
-        point, slope, second = self._quintic(s, 3)
+        *begun, second = self._quintic(s, 3)
         _, step, _ = self.between(s)
-        tangent = slope / jnp.sqrt(jnp.maximum(dot(slope, slope), _TINY))
-        bend = jnp.where(s > 1, 0.0, second / step**2)
-        return point + jnp.maximum(s - 1.0, 0.0) * tangent, tangent, bend
+        return *_onward(s, *begun), jnp.where(s > 1, 0.0, second / step**2)
 
     def at(self, s: Scalar) -> tuple[Vector, Vector]:
         """Point and tangent at an arc length."""
-        point, slope = self._quintic(s, 2)
-        tangent = slope / jnp.sqrt(jnp.maximum(dot(slope, slope), _TINY))
-        return point + jnp.maximum(s - 1.0, 0.0) * tangent, tangent
+        return _onward(s, *self._quintic(s, 2))
 
     def _quintic(self, s: Scalar, orders: int) -> Float[Array, "orders 3"]:
         """Value, slope and bend in a step, or the first of them."""
@@ -131,6 +127,11 @@ class Line(NamedTuple):
         # Behind a contact at the tip all nodes are one.
         whole = jnp.where(end > begin, end - begin, 1.0)
         return place, end - begin, jnp.clip((s - begin) / whole, 0.0, 1.0)
+
+
+def _onward(s: Scalar, point: Vector, slope: Vector) -> tuple[Vector, Vector]:
+    tangent = slope / jnp.sqrt(jnp.maximum(dot(slope, slope), _TINY))
+    return point + jnp.maximum(s - 1.0, 0.0) * tangent, tangent
 
 
 def place_in(nodes: Float[Array, "nodes"], s: Scalar) -> Int[Array, ""]:

@@ -18,9 +18,10 @@ from jax import Array, lax
 from jaxtyping import Bool, Float, UInt
 
 from vibrissa.numerics.norms import norm
+from vibrissa.numerics.rows import row_of
 from vibrissa.numerics.vectors import dot
 from vibrissa.surfaces.mesh.jets import Jet, added, scaled, times
-from vibrissa.surfaces.mesh.patches import AnyArray, Patch, frozen, nearest, patch_jet, row
+from vibrissa.surfaces.mesh.patches import AnyArray, Patch, frozen, nearest, patch_jet
 
 Vector = Float[Array, "3"]
 Scalar = Float[Array, ""]
@@ -162,13 +163,13 @@ def _with_triangles(
         needed, point, smooth = state
         chosen = _nearest_patch(triangles, node, point)
         # Barriers, so that XLA does not recompute the whole for each of its parts.
-        patch = _apart(jax.tree.map(lambda part: row(part, chosen), triangles.patches))
+        patch = _apart(row_of(triangles.patches, chosen))
         near = _apart(frozen(point, patch))
 
         beside = added(patch_jet(point, patch, near, len(smooth) - 1), scaled(-1.0, smooth))
         return jnp.zeros_like(needed), -point, added(smooth, times(weight, beside))
 
-    needed = row(triangles.first, node) < row(triangles.first, node + 1)
+    needed = row_of(triangles.first, node) < row_of(triangles.first, node + 1)
     return lax.while_loop(unfinished, blend, (needed, point, smooth))[2]
 
 
@@ -177,13 +178,13 @@ def _nearest_patch(triangles: Triangles, node: Array, point: Vector) -> Array:
 
     def look(index: Array, state: tuple[Array, Array]) -> tuple[Array, Array]:
         best, chosen = state
-        candidate = row(triangles.nearby, index)
-        squared = nearest(point, row(vertices, candidate), row(slopes, candidate)).squared
+        candidate = row_of(triangles.nearby, index)
+        squared = nearest(point, row_of(vertices, candidate), row_of(slopes, candidate)).squared
         closer = squared < best
         return jnp.where(closer, squared, best), jnp.where(closer, candidate, chosen)
 
     start = jnp.asarray(jnp.inf), jnp.zeros_like(triangles.nearby[0])
-    first, stop = (row(triangles.first, at) for at in (node, node + 1))
+    first, stop = (row_of(triangles.first, at) for at in (node, node + 1))
     return lax.fori_loop(first, stop, look, start)[1]
 
 

@@ -20,6 +20,7 @@ from jax import Array, lax
 from jaxtyping import Bool, Float, UInt
 
 from vibrissa.numerics.linear import solve_3x3
+from vibrissa.numerics.rows import row_of
 from vibrissa.numerics.vectors import dot
 from vibrissa.surfaces.mesh.jets import (
     Jet,
@@ -109,14 +110,9 @@ def nearest(point: Vector, vertices: Triangle, slopes: Triangle) -> Nearest:
     squared = dot(aside, aside)
     edge = lax.argmin(squared, 0, jnp.uint32)
     within = jnp.all(below >= 0)
-    weights = jnp.where(within, below, row(_START + share * _ONWARD, edge))
+    weights = jnp.where(within, below, row_of(_START + share * _ONWARD, edge))
     height = mixed(below, offset)
     return Nearest(jnp.where(within, dot(height, height), jnp.min(squared)), weights, within, edge)
-
-
-def row(rows: AnyArray, index: UInt[Array, ""]) -> Array:
-    """One row; an index that is unsigned and within bounds takes the least code."""
-    return lax.dynamic_index_in_dim(jnp.asarray(rows), index, keepdims=False)
 
 
 class Frozen(NamedTuple):
@@ -140,14 +136,14 @@ def frozen(point: Vector, patch: Patch) -> Frozen:
     """Fix the feature of the triangle that is nearest to a point."""
     _, weights, within, edge = nearest(point, patch.vertices, patch.slopes)
     corner = lax.argmax(weights, 0, jnp.uint32)
-    at_corner = ~within & (row(weights, corner) == 1)
-    turn = row(_ONWARD, edge)
+    at_corner = ~within & (row_of(weights, corner) == 1)
+    turn = row_of(_ONWARD, edge)
     along = mixed(turn, patch.vertices)
     on_edge = turn[:, None] * along / dot(along, along)
     kept = jnp.where(within, patch.slopes, jnp.where(at_corner, 0.0, on_edge))
-    code = jnp.where(at_corner, row(patch.corners, corner), row(patch.edges, edge))
-    apex = row(patch.vertices, corner)
-    outside = dot(point - apex, row(patch.pseudo, corner)) >= 0
+    code = jnp.where(at_corner, row_of(patch.corners, corner), row_of(patch.edges, edge))
+    apex = row_of(patch.vertices, corner)
+    outside = dot(point - apex, row_of(patch.pseudo, corner)) >= 0
     return Frozen(
         point,
         weights,
@@ -155,7 +151,7 @@ def frozen(point: Vector, patch: Patch) -> Frozen:
         code=jnp.where(within, 0.0, code),
         corner=apex,
         sign=jnp.where(outside, 1.0, -1.0),
-        beyond=jnp.where(at_corner, patch.around, row(patch.beyond, edge)),
+        beyond=jnp.where(at_corner, patch.around, row_of(patch.beyond, edge)),
     )
 
 

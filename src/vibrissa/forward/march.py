@@ -119,6 +119,10 @@ jumped: before a smooth change of phase it may move several times as fast as the
 """
 _MISS, _MISS_FLOOR = 0.7, 0.005
 """The same for how far it is from where it was expected, as a fraction of its own motion."""
+_REVERSED = 0.05
+"""And for the force, besides that fraction of its change, as a fraction of itself: past a fold it
+is another one, even where the contact is nearly in its place.
+"""
 MOST_ITERATIONS = {True: 12, False: 25}
 """On a branch, where a poor guess is better left to `follow`; and with friction, whose conditions
 have corners.
@@ -417,7 +421,10 @@ def _advance(
     if not law.branch:
         # With friction the contact changes direction at a corner of the trail, without a jump.
         tolerated += JUMP * _clamp_miss(clamp, come_from, carry.age)
-    misses = (carry.age >= 1) & (missed > tolerated)
+    unlike = jnp.min(joined(*(jnp.abs(state.force - order[3]) for order in foretold[:-1])))
+    grown, most = jnp.abs(state.force - last.state.force), jnp.maximum(state.force, last.state.force)
+    reverses = (unlike > _MISS * grown + _REVERSED * most) if law.branch else False
+    misses = (carry.age >= 1) & ((missed > tolerated) | reverses)
     motion = _length(joined(*(b - a for a, b in zip(come_from[0], clamp, strict=True))))
     jumps = moved > JUMP_FLOOR + JUMP * motion
     leaps = legs.guarded & touches & (jumps | misses)

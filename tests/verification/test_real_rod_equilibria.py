@@ -2,6 +2,9 @@
 and around a snap those of a sweep among them.
 """
 
+from typing import Any
+
+import jax
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -9,6 +12,8 @@ from test_random_rods import Whisker, shot
 
 import vibrissa as vb
 from vibrissa.forward.equilibria import Equilibrium
+from vibrissa.mechanics.model import clamp_of
+from vibrissa.mechanics.models import spatial
 from vibrissa.surfaces import Surface
 
 WHISKER = Whisker(0.5, (0.5, 0.4), 0.8)
@@ -119,3 +124,90 @@ def test_a_snap_leaves_one_equilibrium_for_another_that_is_lower() -> None:
     assert scan.energy[after] < scan.energy[before] - 0.01 * ROD.moment_scale
     lowest = min(one.energy for one in found[after] if one.stable)
     assert scan.energy[after] == pytest.approx(lowest, abs=1e-10 * ROD.moment_scale)
+
+
+def wire(base_radius: float, tip_radius: float) -> vb.Rod:
+    steel = vb.Rod.tapered(
+        length=0.1,
+        base_radius=base_radius,
+        tip_radius=tip_radius,
+        youngs_modulus=206e9,
+        density=7850,
+        poisson_ratio=0.3,
+    )
+    return steel.curved(vb.RestShape.arc(0.2, roll=0.7))
+
+
+WIRE = wire(5e-5, 3e-5)
+HEAVY = vb.Loads(gravity=(0, 0, -9.81))
+SOFT = vb.Support.compliant(np.diag([0.2, 0.3, 0.5, 0.003, 0.002, 0.005]))
+
+
+@pytest.mark.parametrize(
+    "rod",
+    [
+        pytest.param(WIRE.loaded(HEAVY), id="heavy"),
+        pytest.param(WIRE.on(SOFT), id="softly held"),
+        pytest.param(WIRE.loaded(HEAVY).on(SOFT), id="both"),
+    ],
+)
+def test_the_work_of_the_clamp_is_stored_as_potential(rod: vb.Rod) -> None:
+    """By which the search after a snap tells equilibria apart: in bending, in the support and in the
+    weight. The work follows from the reactions alone, by the trapezoidal rule extrapolated once.
+    """
+    ball = vb.surfaces.Sphere(center=(0.03, 0, 0.09), radius=0.03)
+    works = []
+    for count in (81, 161):
+        line = vb.Trail.line(start=(-0.03, 0.004, 0), stop=(0.005, 0.004, 0.01), count=count)
+        scan = vb.scan(rod, ball, line)
+        (first_contact,) = scan.events
+        assert first_contact.kind == vb.EventKind.FIRST_CONTACT
+        touched = slice((count - 1) * 3 // 5, None)
+        works.append(np.sum(scan.clamp_work[touched][1:]))
+    work = (4 * works[1] - works[0]) / 3
+    lifted = scan.reactions.force[0] @ np.ptp(scan.trail.position[touched], axis=0)
+    gain = np.ptp(potentials(scan)[touched]) * rod.moment_scale + lifted
+    bent = np.ptp(scan.energy[touched])
+    print(f"work {work:.6e}, potential {gain:.6e}, bending {bent:.6e} J")  # noqa: T201
+    assert gain == pytest.approx(work, rel=2e-5)
+    assert bent < 0.98 * work
+
+
+def test_a_heavy_rod_snaps_at_one_place_with_any_steps() -> None:
+    """By 3 % of its length, shortly before it loses contact, in a support that is soft and turns as it
+    yields: there the rod bends more while the potential falls.
+    """
+    axes, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(6, 6)))
+    units = np.diag([1, 1, 1, 0.1, 0.1, 0.1])
+    stiffness = 0.485 * units @ axes @ np.diag([1, 2, 3, 1.5, 2.5, 4]) @ axes.T @ units
+    rod = wire(1e-4, 5e-5).loaded(HEAVY).on(vb.Support.compliant(stiffness))
+    torus = vb.surfaces.Torus(
+        center=(0, 0, 0.116), axis=(0.2, 0.1, 1), major_radius=0.035, minor_radius=0.015
+    )
+    kinds, places = [], []
+    for count in (41, 61, 81, 161):
+        line = vb.Trail.line(start=(0.07, 0.008, 0), stop=(-0.04, 0.008, 0), count=count)
+        events = vb.scan(rod, torus, line).events
+        kinds.append([event.kind for event in events])
+        places.append([event.parameter for event in events])
+    happened = [vb.EventKind.FIRST_CONTACT, vb.EventKind.SNAP, vb.EventKind.DETACH]
+    assert kinds == [happened] * len(kinds)
+    assert np.ptp(places, axis=0).max() < 1e-8
+
+
+def potentials(scan: vb.Scan) -> np.ndarray:
+    """Of the rod at positions in contact (n,) [EI/L], given only what a scan tells; elsewhere NaN."""
+    rod, model = scan.rod, spatial(scan.rod)
+    force, reach = (
+        scan.contact_force / rod.force_scale,
+        (scan.point - scan.trail.position) / rod.length,
+    )
+    reactions = scan.reactions.force / rod.force_scale, scan.reactions.moment / rod.moment_scale
+    load = -np.hstack(reactions) - np.hstack([force, np.cross(reach, force)])
+    clamps = clamp_of(scan.trail.position / rod.length, scan.trail.orientation)
+    given = clamps, scan.point / rod.length, np.linalg.norm(force, axis=1), scan.force_direction
+
+    def potential(load: Any, *given: Any) -> Any:
+        return model.potential(model.bent(*given, load))
+
+    return np.asarray(jax.jit(jax.vmap(potential))(load, *given))

@@ -30,6 +30,8 @@ class Assessment(NamedTuple):
     moment: Vector
     """Support moment on the rod."""
     energy: Scalar
+    potential: Scalar
+    """As in `RodModel`."""
     largest_curvature: Scalar
     """Along the rod [1/L]."""
     largest_bend: Scalar
@@ -99,6 +101,7 @@ def assessment(
         bent.support_force,
         bent.base_moment,
         scene.rod.energy(bent),
+        scene.rod.potential(bent),
         scene.rod.largest_curvature(bent),
         scene.rod.largest_bend(bent),
         found.phase,

@@ -421,9 +421,10 @@ def _advance(
     if not law.branch:
         # With friction the contact changes direction at a corner of the trail, without a jump.
         tolerated += JUMP * _clamp_miss(clamp, come_from, carry.age)
-    unlike = jnp.min(joined(*(jnp.abs(state.force - order[3]) for order in foretold[:-1])))
-    grown, most = jnp.abs(state.force - last.state.force), jnp.maximum(state.force, last.state.force)
-    reverses = (unlike > _MISS * grown + _REVERSED * most) if law.branch else False
+    now, then = state.force, last.state.force
+    unlike = jnp.min(joined(*(jnp.abs(now - order[3]) for order in foretold[:-1])))
+    other = unlike > _MISS * jnp.abs(now - then) + _REVERSED * jnp.maximum(now, then)
+    reverses = jnp.asarray(law.branch) & other
     misses = (carry.age >= 1) & ((missed > tolerated) | reverses)
     motion = _length(joined(*(b - a for a, b in zip(come_from[0], clamp, strict=True))))
     jumps = moved > JUMP_FLOOR + JUMP * motion

@@ -74,7 +74,7 @@ ENERGY_MARGIN = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Settled:
-    """One frictionless equilibrium: state, bending energy [EI/L], and whether the rod might just as
+    """One frictionless equilibrium: state, potential [EI/L], and whether the rod might just as
     well bend to any other side.
     """
 
@@ -85,8 +85,8 @@ class Settled:
 
     @property
     def energy(self) -> float:
-        """[EI/L]."""
-        return float(self.values.energy)
+        """Potential [EI/L]."""
+        return float(self.values.potential)
 
 
 class Solutions(NamedTuple):
@@ -131,7 +131,7 @@ def stable_equilibria(
     away = (
         np.linalg.norm(found.state.point[rows] - near[0], axis=1) if near else np.zeros(len(rows))
     )
-    energy = values.energy[rows]
+    energy = values.potential[rows]
     least = energy.min(initial=np.inf)
     order = np.lexsort((away, np.where(energy < least + ENERGY_MARGIN, least, energy)))
     alike = Clamp(*(np.broadcast_to(part, (len(rows), 3)) for part in clamp))
@@ -170,8 +170,8 @@ def _caught(scene: Scene, clamp: Clamp) -> tuple[Assessment, Float[np.ndarray, "
         law = Held(np.broadcast_to(pair, (len(state.force), 2)))
         depth = deepest(scene, state, _repeated(clamp, len(state.force)), law).depth
         values = chosen(values._replace(depth=depth), depth < DEPTH_TOLERANCE)
-        for row in np.argsort(values.energy)[:1]:
-            if best is None or values.energy[row] < best[0].energy:
+        for row in np.argsort(values.potential)[:1]:
+            if best is None or values.potential[row] < best[0].potential:
                 found = chosen(values, row)
                 best = found, np.asarray(Held(pair).second_normal(scene, jnp.asarray(found.point)))
     return best

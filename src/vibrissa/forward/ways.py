@@ -67,8 +67,8 @@ class Way(ABC):
         """
 
     def energy(self, at: Place) -> float:
-        """Bending energy [EI/L]."""
-        return float(self._assessed(at.reached.state, at.fraction).energy)
+        """Potential [EI/L]."""
+        return float(self._assessed(at.reached.state, at.fraction).potential)
 
     def _assessed(self, state: State, fraction: float) -> Assessment:
         clamp = self._stretch.clamps(np.array([fraction]))

@@ -309,8 +309,8 @@ class Kirchhoff(RodModel):
         """
         reach, tangent, across = jnp.zeros(3), clamp.tangent, clamp.across
         if self.compliance is not None:
-            axes = across, jnp.cross(tangent, across), tangent
-            own = joined(*(dot(part, axis) for part in (wrench[:3], wrench[3:]) for axis in axes))
+            axes = clamp.axes
+            own = _along(axes, wrench)
             yields = jnp.sum(self.compliance * own, axis=1)
             reach, angle = (
                 sum(yields[first + i] * axis for i, axis in enumerate(axes)) for first in (0, 3)
@@ -331,7 +331,7 @@ class Kirchhoff(RodModel):
         soft = soft / jnp.maximum(1.0, h * soft * jnp.sqrt(square + _TINY) / _LARGEST_TURN)
         twisting = local.twisting * about
         energy = (soft * square + twisting * about) / 2
-        bend, across, rates = soft * jnp.cross(m, t), None, None
+        bend, across, rates, sunk = soft * jnp.cross(m, t), None, None, None
         if at.across is not None:
             d1, d2 = at.across, jnp.cross(t, at.across)
             u1, u2, u3 = local.rest
@@ -340,8 +340,8 @@ class Kirchhoff(RodModel):
         if load is not None:
             assert self.load is not None
             q = self.load.per_length(s, origin + at.reach, t, local.loaded)
-            rates = joined(-q, -jnp.cross(t, load[:3]))
-        return State(t, bend, energy, across, rates)
+            rates, sunk = joined(-q, -jnp.cross(t, load[:3])), -dot(load[:3], t)
+        return State(t, bend, energy, across, rates, sunk)
 
     def _step(
         self,
@@ -375,7 +375,8 @@ class Kirchhoff(RodModel):
         first = self.base(clamp, wrench if load is None else wrench + load)
         if load is not None:
             moment = load[3:] - jnp.cross(first.reach, load[:3])
-            first = first._replace(load=joined(load[:3], moment))
+            sunk = -dot(load[:3], first.reach)
+            first = first._replace(load=joined(load[:3], moment), sunk=sunk)
         return self._run(clamp.point, push, first, jnp.asarray(self.steps.nodes))
 
     def _run(
@@ -540,6 +541,16 @@ class Kirchhoff(RodModel):
         else:
             energy = self.beyond(bent.inner, bent.arc_length).states.energy[-1]
         return energy
+
+    def potential(self, bent: Bent) -> Scalar:
+        """As in `RodModel`; loads that depend on the rod's place count as if they did not."""
+        potential = self.energy(bent)
+        if self.compliance is not None:
+            own = _along(bent.inner.clamp.axes, joined(bent.support_force, bent.base_moment))
+            potential += dot(own, jnp.sum(self.compliance * own, axis=1)) / 2
+        if self.load is not None:
+            potential += self.beyond(bent.inner, bent.arc_length).states.sunk[-1]
+        return potential
 
     def largest_curvature(self, bent: Bent) -> Scalar:
         """As in `RodModel`: the largest at a node."""
@@ -727,6 +738,11 @@ class Kirchhoff(RodModel):
             return Contact(reach, force / f, unknowns[0], incidence, energy, gap, load, error)
 
         return crossing, most_zeros(slopes)
+
+
+def _along(axes: tuple[Vector, ...], wrench: Wrench) -> Wrench:
+    """A wrench's parts along axes."""
+    return joined(*(dot(part, axis) for part in (wrench[:3], wrench[3:]) for axis in axes))
 
 
 def _moment(push: Push, at: State) -> Vector:

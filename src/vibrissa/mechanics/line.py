@@ -48,6 +48,8 @@ class State(NamedTuple):
     """d₁ (3,), where the rest shape needs it."""
     load: Any = None
     """Q and M (6,), where there are loads."""
+    sunk: Any = None
+    """Potential of those loads, −∫ q·r ds = −Q·r − ∫ Q·t ds, without the first term."""
 
 
 class Line(NamedTuple):

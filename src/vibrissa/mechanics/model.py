@@ -35,6 +35,11 @@ class Clamp(NamedTuple):
     across: Vector
     """The clamp's x axis, from which a rod's rest shape and support are oriented."""
 
+    @property
+    def axes(self) -> tuple[Vector, Vector, Vector]:
+        """Unit vectors along x, y and z."""
+        return self.across, jnp.cross(self.tangent, self.across), self.tangent
+
 
 def clamp_of(point: Float[np.ndarray, "*n 3"], orientation: Float[np.ndarray, "*n 4"]) -> Clamp:
     """Clamps (…, 3) at points [L] with orientations, unit quaternions x, y, z, w."""
@@ -204,6 +209,12 @@ class RodModel(eqx.Module):
     @abstractmethod
     def energy(self, bent: Bent) -> Scalar:
         """Bending energy [EI/L]."""
+
+    def potential(self, bent: Bent) -> Scalar:
+        """All energy that the clamp's work is stored as without friction [EI/L]: that of the
+        support and of the loads too.
+        """
+        return self.energy(bent)
 
     @abstractmethod
     def largest_curvature(self, bent: Bent) -> Scalar:

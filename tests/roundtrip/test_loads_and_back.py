@@ -43,3 +43,30 @@ def test_contacts_are_where_they_were(loads: vb.Loads, turning: float) -> None:
         force, moment = scan.reactions.force[[row]], scan.reactions.moment[[row]]
         alone = vb.reconstruct(rod, vb.Reactions(sweep[row : row + 1], force, moment))
         np.testing.assert_allclose(alone.point[0], found.point[row], rtol=0, atol=1e-11 * LENGTH)
+
+
+@pytest.mark.parametrize(
+    ("tilt", "y", "start", "stop"),
+    [
+        pytest.param(2.6, 0.25, 0.6, 0.0, id="at the tip"),
+        pytest.param(3.0, 0.0, 0.335, 0.285, id="of four millionths of its weight"),
+    ],
+)
+def test_contacts_of_a_hanging_rope(tilt: float, y: float, start: float, stop: float) -> None:
+    """What its weight does behind the contact outweighs the contact, and has a kink at the tip."""
+    rope = vb.Rod.cylinder(length=LENGTH, radius=0.02e-3, youngs_modulus=72e9, density=7850)
+    rope = rope.loaded(LOADS["weight"])
+    ball = vb.surfaces.Sphere(center=(0, 0, 0), radius=0.3 * LENGTH)
+    x = np.linspace(start, stop, 60)
+    position = np.column_stack([x, y + 0 * x, 1 + 0 * x]) * LENGTH
+    trail = vb.Trail(position, Rotation.from_rotvec([tilt, 0, 0]).as_quat())
+    scan = vb.scan(rope, ball, trail)
+    touching = scan.in_contact
+    assert touching.sum() > 10 and (scan.status == vb.Status.OK).all()
+    found = vb.reconstruct(rope, scan.reactions)
+    assert (found.status == vb.Status.OK).all()
+    np.testing.assert_array_equal(found.kind, scan.kind)
+    np.testing.assert_allclose(found.point, scan.point, rtol=0, atol=1e-8 * LENGTH)
+    weight = np.linalg.norm(scan.reactions.force[0])
+    share = np.linalg.norm(scan.contact_force[touching], axis=1).min() / weight
+    assert share < 5e-6 or (scan.kind == vb.ContactKind.TIP).sum() > 5

@@ -26,6 +26,8 @@ _STEPS, _NEAR, _SETTLED, _FOUND = 25, 1e-3, 1e-13, 1e-8
 """Most Newton steps to the loads' resultants, and sizes [EI/L²] of a step: from which on slopes are
 kept, that ends them, and up to which resultants count as found.
 """
+_SLOW = 0.1
+"""Fraction of the last step from which on slopes were not worth keeping."""
 _HARDLY_BENT = 0.5
 """Largest elastic curvature [1/L] of a rod on which the moments at tip and clamp are alike."""
 _LONGEST_STEP = 2.0
@@ -75,21 +77,30 @@ class Share(Load):
 def balanced(left: Callable[[Array], Array], begin: Array) -> Array:
     """Unknowns that leave nothing, by Newton's method from given ones."""
 
-    def unfinished(state: tuple[Array, Array, Scalar, Array]) -> Array:
-        return (state[2] > _SETTLED) & (state[3] < _STEPS)
+    def unfinished(state: tuple[Array, Array, Array, Scalar, Array]) -> Array:
+        *_, size, count = state
+        return (size > _SETTLED) & (count < _STEPS)
 
-    def refine(state: tuple[Array, Array, Scalar, Array]) -> tuple[Array, Array, Scalar, Array]:
-        x, before, size, count = state
-        fresh = size > _NEAR
+    def refine(
+        state: tuple[Array, Array, Array, Scalar, Array],
+    ) -> tuple[Array, Array, Array, Scalar, Array]:
+        x, before, fresh, last, count = state
         asked = jnp.where(fresh, len(x), 0)
         slopes, (value, _) = by_differences(lambda x: (left(x), ()), x, count=asked)
         jacobian = jnp.where(fresh, slopes, before)
         change, _ = solve_pivoted(jacobian, value)
         size = jnp.max(jnp.abs(change))
         share = jnp.minimum(1.0, _LONGEST_STEP / jnp.maximum(size, _TINY))
-        return x - share * change, jacobian, size, count + 1
+        # Slow steps are those past a kink, as where a contact moves onto the tip.
+        fresh = (size > _NEAR) | (size > _SLOW * last)
+        return x - share * change, jacobian, fresh, size, count + 1
 
-    blank = jnp.zeros((len(begin),) * 2), jnp.asarray(jnp.inf), jnp.zeros((), dtype=int)
+    blank = (
+        jnp.zeros((len(begin),) * 2),
+        jnp.ones((), dtype=bool),
+        jnp.asarray(jnp.inf),
+        jnp.zeros((), dtype=int),
+    )
     found, *_ = lax.while_loop(unfinished, refine, (begin, *blank))
     return found
 

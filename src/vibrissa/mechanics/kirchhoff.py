@@ -87,6 +87,10 @@ _FULL_TURN = 2 * math.pi
 """By which bending turns a rod that meets itself."""
 _LARGEST_ERROR = 1e-6
 """Estimated error of a hanging rod's tip [L] up to which it counts as found: as for contacts."""
+_WEAK = 0.002
+"""Force over the loads' resultant: with less, an error of a hundredth in what the loads do behind
+the contact turns the force about.
+"""
 _ROUNDING = 1e-9
 """By which a contact at the tip may seem to lie before it [L]."""
 _TINY = 1e-300
@@ -701,10 +705,10 @@ class Kirchhoff(RodModel):
         inner, hanging = Inner(line, clamp, push), free or self._hanging(clamp)
         assert isinstance(hanging, Hanging)
         own = hanging.line.states.load
-        force = push.force + line.states.load[:, :3] - own[:, :3]
+        alone = push.force + line.states.load[:, :3] - own[:, :3]
         inside = push.moment - jnp.cross(line.reach, push.force)
         inside = inside + line.states.load[:, 3:] - own[:, 3:]
-        slopes = -jnp.sum(jnp.cross(line.tangent, force) * inside, 1)
+        slopes = -jnp.sum(jnp.cross(line.tangent, alone) * inside, 1)
 
         def parts(unknowns: Float[Array, "7"]) -> tuple[State, Vector, Vector, Line]:
             s, tail = unknowns[0], unknowns[1:]
@@ -713,17 +717,25 @@ class Kirchhoff(RodModel):
             moment = push.moment - jnp.cross(here.reach, push.force) + here.load[3:] - tail[3:]
             return here, force, moment, self._rest(inner, s, here._replace(load=tail))
 
-        def left(unknowns: Float[Array, "7"]) -> Float[Array, "7"]:
-            here, force, moment, rest = parts(unknowns)
-            lever = -dot(jnp.cross(here.tangent, force), moment) / dot(force, force)
-            return joined(lever, rest.states.load[-1])
-
         def crossing(which: Any) -> Contact:
             begin = zero(None, line, slopes, which)
             place, _, x = line.between(begin)
             behind, ahead = rows_from(own, place, 2)
             tail = behind + x * (ahead - behind)
-            unknowns = balanced(left, joined(begin, tail))
+
+            def refined(anywhere: Array, at: Float[Array, "7"]) -> Float[Array, "7"]:
+                def left(unknowns: Float[Array, "7"]) -> Float[Array, "7"]:
+                    here, force, moment, rest = parts(unknowns)
+                    lever = -dot(jnp.cross(here.tangent, force), moment) / dot(force, force)
+                    lever = jnp.where(anywhere > 0, lever, unknowns[0] - begin)
+                    return joined(lever, rest.states.load[-1])
+
+                return balanced(left, at)
+
+            # The place of a weak contact is known only once the loads behind it are.
+            weight, f = own[0, :3], row_of(alone, place)
+            strong = dot(f, f) > _WEAK**2 * dot(weight, weight)
+            unknowns = lax.fori_loop(strong.astype(int), 2, refined, joined(begin, tail))
             here, force, moment, rest = parts(unknowns)
             f, reach = jnp.sqrt(dot(force, force)), here.reach
             total = joined(-push.force, -push.moment)

@@ -7,6 +7,7 @@ Model units.
 
 from collections.abc import Callable
 from functools import cache
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -196,6 +197,33 @@ def test_the_contact_goes_on_to_the_other_part_and_an_event_says_so(
     np.testing.assert_allclose(one(scan.point[before]), 0, atol=1e-9)
     np.testing.assert_allclose(other(scan.point[behind]), 0, atol=1e-9)
     assert before.any() and behind.any()
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+@pytest.mark.parametrize("finer", [1, 2, 4])
+def test_a_contact_that_ends_inside_another_part_hands_over_to_it(
+    finer: int, friction: float
+) -> None:
+    """The clamp bends the rod round the upper ball, goes on round it to where the lower one is, and
+    leaves the upper one there: where the straight rod touches that, by exact geometry, the contact
+    ends and the next one begins.
+    """
+    there = place(0.0, ((0, 0, 0.9), 0.2), ((0.02, 0.3, 0.5), 0.15))
+    way = np.array([(0.4, 0, 0), (0.1, 0.03, 0), (0.02, 0.12, 0), (0.02, 0.35, 0)])
+    shares = np.linspace(0, 1, 12 * finer, endpoint=False)[:, None]
+    steps = [a + shares * (b - a) for a, b in pairwise(way)]
+    trail = vb.Trail(np.concatenate([*steps, way[-1:]]))
+    scan = vb.scan(vb.Rod.unit(), there.surface, trail, friction=friction)
+    kinds = (vb.EventKind.FIRST_CONTACT, vb.EventKind.DETACH)
+    met, left, met_next = [event for event in scan.events if event.kind in kinds]
+    assert met_next.kind == vb.EventKind.FIRST_CONTACT
+    leaves = (0.02, np.sqrt(0.2**2 - 0.02**2), 0)
+    np.testing.assert_allclose(met.clamp[:2] @ met.clamp[:2], 0.2**2, rtol=0, atol=1e-8)
+    np.testing.assert_allclose([left.clamp, met_next.clamp], [leaves] * 2, rtol=0, atol=1e-7)
+    on = np.array([part(scan.point[scan.in_contact]) for part in there.parts[:2]])
+    behind = scan.trail.position[scan.in_contact, 1] > leaves[1]
+    np.testing.assert_allclose(np.where(behind, on[1], on[0]), 0, atol=1e-9)
+    assert 0 < np.count_nonzero(behind) < behind.size
 
 
 def small_part(rng: np.random.Generator) -> tuple[Place, vb.Scan]:

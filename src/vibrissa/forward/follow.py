@@ -100,7 +100,7 @@ class _Follower:
         fraction, state = end.at.fraction, end.at.reached.state
         unloaded = state.force <= NO_FORCE
         leaving = unloaded and self._clear(min(1.0, fraction + _AFTER_CONTACT[0]))
-        if leaving or (end.reason == "released" and fraction - since > _PROGRESS):
+        if leaving or ((unloaded or end.reason == "released") and fraction - since > _PROGRESS):
             self._happened.append((EventKind.DETACH, fraction, state.point))
             return None, fraction
         if unloaded:

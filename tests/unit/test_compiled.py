@@ -1,7 +1,6 @@
 """The cache of compiled kernels, and what is compiled how."""
 
 import os
-import time
 from pathlib import Path
 from typing import Any
 
@@ -33,27 +32,37 @@ def test_what_runs_for_long_is_compiled_well(
     """And at once by the next process, or if its arguments are many, or if that is wanted."""
     monkeypatch.setattr(kernel, "is_marked", lambda name: (tmp_path / name).exists())
     monkeypatch.setattr(kernel, "mark", lambda name: (tmp_path / name).touch())
-    monkeypatch.setattr(kernel, "_WORTH", 0.05)
-    calls = []
+    calls: list[str] = []
+    seconds = [0]
+    monkeypatch.setattr(kernel.time, "perf_counter", lambda: seconds[0])
 
     def compiled(function: Any, *, alone: bool, quick: bool = False) -> Any:
-        def call(*arguments: Any) -> Any:
+        shapes: set[object] = set()
+
+        def call(row: tuple[Any, ...]) -> Any:
+            shape = tuple(map(np.shape, row))
+            seconds[0] += 2 * (shape not in shapes)
+            shapes.add(shape)
             calls.append("quick" if quick else "well")
-            return function(*arguments)
+            return function(row)
 
         return call
 
     monkeypatch.setattr(kernel, "compiled", compiled)
 
     def slow(row: tuple[Any, ...]) -> float:
-        time.sleep(0.03)
+        seconds[0] += 1
         return float(len(row))
 
-    first = kernel.Kernel(slow, alone=True)
-    # The first call of each shape, which compiles it, does not count.
-    for row in [(1.0,)] * 5 + [(np.zeros(2),)]:
-        first(row)
-    assert calls == ["quick"] * 3 + ["well"] * 3
+    # The first call of each shape compiles it, which takes three seconds with the call itself.
+    for rows, most in (([(1.0,)] * 9, 5), ([(1.0,), (np.zeros(2),)] + [(1.0,)] * 9, 9)):
+        calls.clear()
+        for marked in tmp_path.iterdir():
+            marked.unlink()
+        first = kernel.Kernel(slow, alone=True)
+        for row in rows:
+            first(row)
+        assert calls == ["quick"] * most + ["well"] * (len(rows) - most)
     calls.clear()
 
     again = kernel.Kernel(slow, alone=True)

@@ -243,9 +243,9 @@ def seeds_around(
     aside = np.linalg.norm(to_there - (to_there @ tangent)[:, None] * tangent, axis=1)
     bending = np.minimum(3 * aside / reach**3, forces[-1])
     places = np.concatenate([np.tile(points, (len(forces), 1)), beside])
-    pushes = np.concatenate([np.repeat(forces, len(points)), bending])
-    away = np.linalg.norm(places - point, axis=1)
-    pushes = pushes * np.asarray(scene.rod.lateral_stiffness(away))
+    stiffness = scene.rod.lateral_stiffness(np.linalg.norm(points - point, axis=1))
+    bending *= stiffness[len(points) - len(beside) :]
+    pushes = np.concatenate([np.outer(forces, stiffness).ravel(), bending])
     count = len(places)
     owned = np.broadcast_to(own_unknowns, (count, len(own_unknowns)))
     return State(places, pushes, np.zeros((count, 0)), owned)

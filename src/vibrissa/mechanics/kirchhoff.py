@@ -280,16 +280,16 @@ class Kirchhoff(RodModel):
         # Beyond the tip it would go on as before.
         return 1 - jnp.polyval(row_of(local.girth, place)[::-1], (s - start) / (end - start))
 
-    def lateral_stiffness(self, s: Float[Any, "n"]) -> Float[Any, "n"]:
+    def lateral_stiffness(self, s: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
         """As in `RodModel`: (s³/3) / ∫ (s − σ)²/B dσ."""
-        nodes, local, *_ = self.steps
-        h = jnp.diff(nodes)
+        nodes, coefficients = np.asarray(self.steps.nodes), np.asarray(self.steps.local.bending)
+        h = np.diff(nodes)
         place = (nodes[:-1, None] + h[:, None] * POINTS).ravel()
-        bending = jnp.einsum("sj,ij->si", local.bending, np.vander(POINTS, increasing=True))
-        weight = (h[:, None] * QUADRATURE).ravel() / bending.ravel()
-        lever = jnp.clip(s[:, None], 1e-3, 1.0) - place
-        own = jnp.sum(weight * jnp.maximum(lever, 0.0) ** 2, axis=1)
-        uniform = jnp.sum(weight * bending.ravel() * jnp.maximum(lever, 0.0) ** 2, axis=1)
+        bending = (coefficients @ np.vander(POINTS, increasing=True).T).ravel()
+        weight = (h[:, None] * QUADRATURE).ravel() / bending
+        lever = np.maximum(np.clip(s[:, None], 2 * place[0], 1.0) - place, 0.0) ** 2
+        own = np.sum(weight * lever, axis=1)
+        uniform = np.sum(weight * bending * lever, axis=1)
         return uniform / own
 
     @property

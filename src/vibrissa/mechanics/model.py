@@ -247,11 +247,11 @@ class RodModel(eqx.Module):
         """Share of the clamp's radius by which the rod is thinner at an arc length."""
         return jnp.zeros_like(s)
 
-    def lateral_stiffness(self, s: Float[Any, "n"]) -> Float[Any, "n"]:
+    def lateral_stiffness(self, s: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
         """Stiffness against a small force across the rod at arc lengths, over that of a uniform rod
         of the same stiffness at the clamp.
         """
-        return jnp.ones_like(s)
+        return np.ones_like(s)
 
     @property
     def rough(self) -> "RodModel | None":

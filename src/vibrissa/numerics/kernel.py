@@ -20,10 +20,6 @@ Result = TypeVar("Result")
 _PATIENCE = 1.0
 """Compile time [s] after which a message is shown on a terminal."""
 _told = threading.Lock()
-_WORTH = 0.3
-"""Time [s] for which code runs that was compiled quickly, before it is compiled well: of two sweeps
-or of a batch. That takes one to three seconds.
-"""
 _LARGE = 1 << 18
 """So many numbers among its arguments keep a single call busy for longer than that."""
 
@@ -35,8 +31,9 @@ class Kernel(Generic[Result]):
     """A compiled function of trees of arrays; while one thread compiles it, others wait.
 
     Scalar code (`alone`) is first compiled without optimisation: in half the time, but it then
-    takes three times as long to run. What has run for a while is compiled well, and in later
-    processes at once.
+    takes three times as long to run. What has run for as long as it took to compile is compiled
+    well, and in later processes at once: not knowing how much there is to do, that costs at most
+    about twice what it would have cost to know.
     """
 
     def __init__(self, function: Callable[..., Result], *, alone: bool) -> None:
@@ -44,7 +41,9 @@ class Kernel(Generic[Result]):
         self._well = compiled(function, alone=alone)
         self._quick = compiled(function, alone=True, quick=True) if alone else None
         self._ran: dict[object, float] = {}
-        """How long [s] quick code has run, for each structure of arguments."""
+        """How much longer [s] quick code has run than it took to compile, for each structure of
+        arguments.
+        """
         self._known: set[object] = set()
         self._compiling = threading.Lock()
 
@@ -53,21 +52,21 @@ class Kernel(Generic[Result]):
         leaves, structure = jax.tree.flatten(arguments)
         if self._quick is None or self._is_worth(structure, leaves):
             return self._called(self._well, structure, arguments)
-        # Each shape is compiled separately, which takes time that is not to be counted.
+        # Each shape is compiled separately.
         shaped = structure, *map(np.shape, leaves)
-        counts, begin = (self._quick, shaped) in self._known, time.perf_counter()
+        runs, begin = (self._quick, shaped) in self._known, time.perf_counter()
         found = self._called(self._quick, shaped, arguments)
-        if counts:
-            self._ran[structure] += time.perf_counter() - begin
+        took = time.perf_counter() - begin
+        self._ran[structure] += took if runs else -took
         return found
 
     def _is_worth(self, structure: Any, leaves: list[Any]) -> bool:
         """Whether arguments of this structure are worth code that is compiled well."""
-        ran = self._ran.get(structure, -1.0)
+        ran = self._ran.get(structure, -np.inf)
         if ran == np.inf:
             return True
-        worth = ran > _WORTH or _at_once.is_set() or sum(map(np.size, leaves)) > _LARGE
-        if worth or ran < 0:
+        worth = ran > 0 or _at_once.is_set() or sum(map(np.size, leaves)) > _LARGE
+        if worth or ran == -np.inf:
             name = hashlib.sha256(f"{self._name} {structure}".encode()).hexdigest()
             if worth:
                 mark(name)

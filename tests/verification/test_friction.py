@@ -319,3 +319,34 @@ def test_a_short_snap_is_seen_with_any_steps() -> None:
     assert [[event.kind.name for event in some] for some in events] == [kinds] * 4
     places = np.array([[event.parameter for event in some] for some in events])
     np.testing.assert_allclose(places, places[[-1] * 4], rtol=0, atol=5e-4)
+
+
+@pytest.mark.parametrize("thing", ["torus", "ball"])
+def test_a_heavy_rod_s_contact_begins_once_with_any_steps(thing: str) -> None:
+    """Held by friction across its axis, it slides along that from the first: neither a snap nor a
+    second contact there, and nothing that sticks before.
+    """
+    length = 0.05
+    wire = vb.Rod.cylinder(length=length, radius=1e-4, youngs_modulus=206e9, density=7850)
+    wire = wire.loaded(vb.Loads(gravity=(0, 0, -9.81)))
+    torus = vb.surfaces.Torus(
+        center=length * np.array([0.0806, -0.1729, 0.9691]),
+        axis=(0.2, 0.3, 1),
+        major_radius=0.3516 * length,
+        minor_radius=0.1 * length,
+    )
+    ball = vb.surfaces.Sphere(
+        center=length * np.array([-0.0743, -0.0003, 0.9406]), radius=0.1572 * length
+    )
+    surface, sides, kinds = {
+        "torus": (torus, (-0.1841, -0.1795), ["FIRST_CONTACT", "TANGENTIAL_TO_TIP", "SNAP"]),
+        "ball": (ball, (0.1713, -0.1718), ["FIRST_CONTACT", "SNAP"]),
+    }[thing]
+    start, stop = ((side * length, y * length, 0) for side, y in zip((1, -1), sides, strict=True))
+    for count in (101, 201, 401):
+        trail = vb.Trail.line(start=start, stop=stop, count=count)
+        scan = vb.scan(wire, surface, trail, friction=FRICTION)
+        assert [event.kind.name for event in scan.events][: len(kinds)] == kinds
+        first = int(np.flatnonzero(scan.in_contact)[0])
+        assert scan.status[first] == vb.Status.OK
+        assert scan.motion[first] == vb.Motion.SLIP

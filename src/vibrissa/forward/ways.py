@@ -369,7 +369,8 @@ class Rubbing(Way):
         """As in `Way`."""
         state = State(meeting.point, np.zeros(()), np.zeros(self._law.unknowns), meeting.own)
         reached = Reached(state, meeting.arc_length, meeting.tangent)
-        return Place(float(meeting.fraction), reached, -float(self._scene.friction), np.nan)
+        # Whether it sticks or slides is not known yet.
+        return Place(float(meeting.fraction), reached, np.nan, np.nan)
 
     def settled(self, found: Settled, fraction: float) -> Place | None:
         """As in `Way`."""

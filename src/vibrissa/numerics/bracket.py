@@ -38,7 +38,7 @@ def roots(
     known, value = (_outside(part, _NEAREST - 1) for part in (end, at_end))
     small = np.maximum(_VALUE * np.abs(at_end).max(axis=1), _LEAST_VALUE)
     even = np.ones(len(end), dtype=bool)
-    left = np.flatnonzero(at_end[:, 0] * at_end[:, 1] < 0)
+    left = np.flatnonzero(at_end[:, 0] * np.sign(at_end[:, 1]) < 0)
     for _ in range(_MOST_ROUNDS):
         if not left.size:
             break
@@ -85,7 +85,7 @@ def _nearest(
     along = np.where(unknown, np.inf, (x - first) * np.sign(last - first))
     order = np.argsort(along, axis=1, kind="stable")
     x, f = (np.take_along_axis(np.where(unknown, np.nan, part), order, axis=1) for part in (x, f))
-    changed = f * values[:, [_NEAREST - 1]] < 0
+    changed = f * np.sign(values[:, [_NEAREST - 1]]) < 0
     around = changed.argmax(axis=1)[:, None] + np.arange(2 * _NEAREST)
     x, f = (np.take_along_axis(_outside(part, _NEAREST), around, axis=1) for part in (x, f))
     return x, f

@@ -13,6 +13,7 @@ lies on both.
 """
 
 from abc import abstractmethod
+from functools import partial
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
@@ -22,7 +23,7 @@ from jax import Array, lax
 from jaxtyping import Float, Int
 
 from vibrissa.contact.scene import Reached, Scene, State
-from vibrissa.mechanics.model import Bent
+from vibrissa.mechanics.model import Bent, Clamp
 from vibrissa.numerics.vectors import dot
 
 Scalar = Float[Any, ""]
@@ -31,6 +32,11 @@ Vector = Float[Any, "3"]
 _AUGMENTATION = 10.0
 """c of Coulomb's law [1/L]: any positive number gives the same solution; among 1 to 100 this one
 took the fewest steps.
+"""
+_SOFTLY, _HARDLY = 0.1, 1e-6
+"""Share of the force expected where a contact begins with which Newton's method starts, as the rod
+is in contact for a part of the step only: too much leads astray, a twentieth to a fifth does as
+well; and the least force [EI/L²].
 """
 _TINY = 1e-300
 
@@ -85,6 +91,19 @@ class Law(eqx.Module):
         were at rest.
         """
         return jnp.zeros(0), jnp.zeros(())
+
+    def begun(
+        self,
+        scene: Scene,  # noqa: ARG002
+        guess: State,
+        before: Reached,  # noqa: ARG002
+        begin: Clamp,  # noqa: ARG002
+        clamp: Clamp,  # noqa: ARG002
+    ) -> State:
+        """Where Newton's method starts at a clamp pose: at the guess, unless a contact begins there
+        and the law has to know which way the clamp came from `begin`.
+        """
+        return guess
 
 
 def _normal(scene: Scene, point: Vector) -> tuple[Scalar, Vector, Scalar]:
@@ -149,6 +168,38 @@ class Coulomb(Law):
         size = jnp.sqrt(jnp.sum(trial * trial) + _TINY)
         slides = tau - scene.friction / size * trial
         return jnp.where(size <= scene.friction, lifted + w, slides), size - scene.friction
+
+    def begun(
+        self, scene: Scene, guess: State, before: Reached, begin: Clamp, clamp: Clamp
+    ) -> State:
+        """As in `Law`: a contact without a force has no direction.
+
+        If friction holds it, the force bends the rod back as far as the clamp carries it across its
+        axis, 3 δ/s³ for a uniform one, and nowhere else; bent, the rod is shorter and slides along
+        its axis, which takes what is left of the cone. If not, it slides across both its axis and
+        the normal (mechanics.md, "Friction").
+        """
+        arm, along = guess.point - begin.point, before.tangent
+        carried = clamp.point - begin.point - arm
+        for old, new in zip(begin.axes, clamp.axes, strict=True):
+            carried += dot(arm, old) * new
+        back = dot(carried, along) * along - carried
+        far = jnp.sqrt(dot(back, back)) + _TINY
+        normal = self.push(scene, guess).normal
+        beside = jnp.cross(along, back / far)
+        off = dot(beside, normal)
+        within = jnp.sqrt(jnp.maximum(1 - off**2, _TINY))
+        beside = (beside - off * normal) / within
+        inward = jnp.cross(normal, beside)
+        inward *= jnp.sign(dot(inward, along))
+        left = scene.friction**2 - (off / within) ** 2
+        held = jnp.sqrt(jnp.maximum(left, 0.0)) * inward - off / within * beside
+        aside = jnp.cross(along, normal)
+        aside *= -jnp.sign(off * dot(aside, beside)) / jnp.sqrt(dot(aside, aside))
+        lean = jnp.where(left > 0, held, scene.friction * aside)
+        force = jnp.maximum(_SOFTLY * 3 * far / before.arc_length**3, _HARDLY)
+        begun = guess._replace(force=force, lean=lean)
+        return jax.tree.map(partial(jnp.where, guess.force == 0), begun, guess)
 
 
 class Leaning(Law):

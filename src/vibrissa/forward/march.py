@@ -25,7 +25,7 @@ from vibrissa.numerics.bracket import POINTS
 from vibrissa.numerics.derivatives import CHANGE, exact
 from vibrissa.numerics.lanes import WIDTH, Lanes, lanes
 from vibrissa.numerics.rows import row_of, with_row
-from vibrissa.numerics.vectors import dot, joined
+from vibrissa.numerics.vectors import joined
 
 Scalar = Float[Any, ""]
 Unknowns = Float[Array, "unknowns"]
@@ -109,11 +109,6 @@ the rod's own.
 """
 SHARP = 1e-13
 """The same for an event, whose figure is computed before the last step: what rounding leaves."""
-_SOFTLY, _HARDLY, _TINY = 0.1, 1e-6, 1e-300
-"""Share of the force expected where a contact begins with which Newton's method starts, as the rod
-is in contact for a part of the step only: too much leads astray, a twentieth to a fifth does as
-well; and the least force [EI/L²].
-"""
 JUMP, JUMP_FLOOR = 8.0, 0.02
 """A contact that moves farther [L] than this many times the clamp's motion, plus a floor, has
 jumped: before a smooth change of phase it may move several times as fast as the clamp.
@@ -410,9 +405,7 @@ def _advance(
         for k in (1, 2, 3)
     ]
     side = before.state.point - come_from[0].point
-    if not law.branch:
-        begun = _begun(scene, law, guess, before, come_from[0], clamp)
-        guess = jax.tree.map(partial(jnp.where, guess.force == 0), begun, guess)
+    guess = law.begun(scene, guess, before, come_from[0], clamp)
     found = solved(scene, law, guess, clamp, before, side, active, legs.tolerance)
 
     converged = found.residual <= tolerance_of(scene, law)
@@ -455,38 +448,6 @@ def _advance(
         lambda kept, new: jnp.where(legs.fanned & ~given, kept, new), carry, following
     )
     return following, Steps(reached, mode, found.figure, found.phase, found.residual)
-
-
-def _begun(
-    scene: Scene, law: Law, guess: State, before: Reached, begin: Clamp, clamp: Clamp
-) -> State:
-    """Where Newton's method starts with friction when a contact begins: no force has no direction.
-
-    If friction holds the contact, the force bends the rod back as far as the clamp carries it
-    across its axis, 3 δ/s³ for a uniform one, and nowhere else; bent, the rod is shorter and slides
-    along its axis, which takes what is left of the cone. If not, it slides across both its axis and
-    the normal.
-    """
-    arm, along = guess.point - begin.point, before.tangent
-    carried = clamp.point - begin.point - arm
-    for old, new in zip(begin.axes, clamp.axes, strict=True):
-        carried += dot(arm, old) * new
-    back = dot(carried, along) * along - carried
-    far = _length(back) + _TINY
-    normal = law.push(scene, guess).normal
-    beside = jnp.cross(along, back / far)
-    off = dot(beside, normal)
-    within = jnp.sqrt(jnp.maximum(1 - off**2, _TINY))
-    beside = (beside - off * normal) / within
-    inward = jnp.cross(normal, beside)
-    inward *= jnp.sign(dot(inward, along))
-    left = scene.friction**2 - (off / within) ** 2
-    held = jnp.sqrt(jnp.maximum(left, 0.0)) * inward - off / within * beside
-    aside = jnp.cross(along, normal)
-    aside *= -jnp.sign(off * dot(aside, beside)) / _length(aside)
-    lean = jnp.where(left > 0, held, scene.friction * aside)
-    force = jnp.maximum(_SOFTLY * 3 * far / before.arc_length**3, _HARDLY)
-    return guess._replace(force=force, lean=lean)
 
 
 def _length(vector: Float[Array, "n"]) -> Scalar:

@@ -14,10 +14,11 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Bool, Float
 
 from vibrissa.calibration.bench import Bench, Step, moved
-from vibrissa.contact import Leaning, Scene, Touching, implicit, iterated, touching
+from vibrissa.contact import Leaning, Scene, Touching, iterated, touching
 from vibrissa.contact import State as Unknowns
 from vibrissa.geometry.rotation import cross_matrices
 from vibrissa.mechanics.model import Clamp
+from vibrissa.numerics.derivatives import implicit
 from vibrissa.numerics.lanes import lanes
 from vibrissa.surfaces import Surface
 

@@ -4,7 +4,7 @@ Lengths in L, forces in EI/L².
 
 from vibrissa.contact.conditions import Touching, touching
 from vibrissa.contact.laws import COULOMB, FRICTIONLESS, Held, Law, Leaning
-from vibrissa.contact.newton import implicit, iterated, root, signed, step_from
+from vibrissa.contact.newton import iterated, root, signed, step_from
 from vibrissa.contact.scene import Reached, Scene, Skin, State
 
 __all__ = [
@@ -18,7 +18,6 @@ __all__ = [
     "Skin",
     "State",
     "Touching",
-    "implicit",
     "iterated",
     "root",
     "signed",

@@ -3,13 +3,12 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar
 
-import jax
 import jax.numpy as jnp
 from jax import Array, lax
 from jaxtyping import Float
 
-from vibrissa.numerics.derivatives import exact
-from vibrissa.numerics.linear import solve_4x4, solve_pivoted
+from vibrissa.numerics.derivatives import exact, tangent_solve
+from vibrissa.numerics.linear import solve_small
 
 Scalar = Float[Any, ""]
 Unknowns = Float[Array, "unknowns"]
@@ -50,13 +49,6 @@ def signed(determinant: Scalar, xp: Any = jnp) -> Scalar:
     return xp.where(abs(determinant) < _SINGULAR, _SINGULAR, determinant)
 
 
-def solved_linear(
-    matrix: Float[Any, "n n"], right: Float[Array, "n"]
-) -> tuple[Float[Array, "n"], Scalar]:
-    """Solution of a small system, and its determinant."""
-    return (solve_4x4 if matrix.shape[0] == 4 else solve_pivoted)(matrix, right)
-
-
 def step_from(
     conditions: Callable[[Unknowns], tuple[Unknowns, Told]],
     x: Unknowns,
@@ -73,7 +65,7 @@ def step_from(
     `vibrissa.numerics.derivatives`, its Jacobian or nearly so.
     """
     jacobian, (residual, told) = derivatives(conditions, x)
-    step, determinant = solved_linear(jacobian, residual)
+    step, determinant = solve_small(jacobian, residual)
     distance = jnp.sqrt(jnp.sum(step[:3] ** 2))
     longest = _CAUTIOUS_STEP if cautious else _LONGEST_STEP
     share = jnp.minimum(1.0, longest / jnp.maximum(distance, longest))
@@ -107,20 +99,5 @@ def root(residual: Callable[[Unknowns], Unknowns], start: Unknowns) -> Unknowns:
     """The same, differentiable with respect to every θ that `residual` closes over; derivatives are
     those of the conditions, not of the iterations.
     """
-
-    def tangent(linear: Callable[[Unknowns], Unknowns], right: Unknowns) -> Unknowns:
-        return solved_linear(jax.jacfwd(linear)(jnp.zeros_like(right)), right)[0]
-
-    found: Unknowns = lax.custom_root(residual, start, iterated, tangent)
+    found: Unknowns = lax.custom_root(residual, start, iterated, tangent_solve)
     return found
-
-
-def implicit(by_unknowns: Float[Any, "n n"], by_parameters: Any) -> Any:
-    """Derivatives of a root x of R(x, θ), dx/dθ = −(∂R/∂x)⁻¹ ∂R/∂θ, from a tree of ∂R/∂θ (n, …):
-    what differentiating `root` gives, where both Jacobians are at hand.
-    """
-
-    def column(right: Unknowns) -> Unknowns:
-        return -solved_linear(by_unknowns, right)[0]
-
-    return jax.tree.map(jax.vmap(column, in_axes=1, out_axes=1), by_parameters)

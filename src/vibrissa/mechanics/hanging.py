@@ -14,7 +14,7 @@ from jax import Array, lax
 from jaxtyping import Bool, Float
 
 from vibrissa.mechanics.line import across_of
-from vibrissa.numerics.derivatives import by_differences
+from vibrissa.numerics.derivatives import by_differences, tangent_solve
 from vibrissa.numerics.linear import solve_pivoted
 from vibrissa.numerics.vectors import dot, joined
 
@@ -103,10 +103,6 @@ def balanced(left: Callable[[Array], Array], begin: Array) -> Array:
     )
     found, *_ = lax.while_loop(unfinished, refine, (begin, *blank))
     return found
-
-
-def _tangent(linear: Callable[[Array], Array], right: Array) -> Array:
-    return solve_pivoted(jax.jacfwd(linear)(jnp.zeros_like(right)), right)[0]
 
 
 class Tip(NamedTuple):
@@ -205,7 +201,7 @@ def grown(
     def left(x: Wrench) -> Wrench:
         return at_tip(x, 1.0)[0].load
 
-    load, size = lax.custom_root(left, jnp.zeros(6), solve, _tangent, has_aux=True)
+    load, size = lax.custom_root(left, jnp.zeros(6), solve, tangent_solve, has_aux=True)
     return load, (size < _FOUND) & (dot(load[:3], load[:3]) < _LARGEST_LOAD**2)
 
 

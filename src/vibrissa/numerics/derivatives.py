@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jaxtyping import Float, Int
 
+from vibrissa.numerics.linear import solve_small
 from vibrissa.numerics.rows import row_of, with_row
 
 Scalar = Float[Any, ""]
@@ -71,3 +72,21 @@ def by_differences(
         lambda part: jnp.moveaxis(part[first:] - part[first - 1], 0, -1) * asked / change, rows
     )
     return slopes, (jax.tree.map(lambda part: part[0], rows), told)
+
+
+def implicit(by_unknowns: Float[Array, "n n"], by_parameters: Any) -> Any:
+    """Derivatives of a root x of R(x, θ), dx/dθ = −(∂R/∂x)⁻¹ ∂R/∂θ, from a tree of ∂R/∂θ (n, …)."""
+
+    def column(right: Float[Array, "n"]) -> Float[Array, "n"]:
+        return -solve_small(by_unknowns, right)[0]
+
+    return jax.tree.map(jax.vmap(column, in_axes=1, out_axes=1), by_parameters)
+
+
+def tangent_solve(
+    linear: Callable[[Float[Array, "n"]], Float[Array, "n"]], right: Float[Array, "n"]
+) -> Float[Array, "n"]:
+    """Where a linear function has a value: with it `jax.lax.custom_root` differentiates a root, to
+    what `implicit` gives.
+    """
+    return solve_small(jax.jacfwd(linear)(jnp.zeros_like(right)), right)[0]

@@ -95,6 +95,13 @@ def solve_pivoted(
     return lax.fori_loop(0, len(right), eliminate, (matrix, right, jnp.ones(())))[1:]
 
 
+def solve_small(
+    matrix: Float[Array, "n n"], right: Float[Array, "n"]
+) -> tuple[Float[Array, "n"], Float[Array, ""]]:
+    """Solution and determinant by whichever of these is best for so many unknowns."""
+    return (solve_4x4 if matrix.shape[0] == 4 else solve_pivoted)(matrix, right)
+
+
 def cholesky(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
     """Lower factor of a positive definite matrix."""
     size = matrix.shape[0]

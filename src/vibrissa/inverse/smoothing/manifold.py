@@ -40,7 +40,7 @@ from vibrissa.mechanics.free import check_stands, free_rods
 from vibrissa.mechanics.kirchhoff import Inner, Kirchhoff, Push
 from vibrissa.mechanics.model import AT_ORIGIN, Clamp, RodModel
 from vibrissa.mechanics.models import model_of
-from vibrissa.numerics.derivatives import CHANGE, by_differences
+from vibrissa.numerics.derivatives import CHANGE, by_differences, implicit
 from vibrissa.numerics.lanes import AnyArray, lanes
 from vibrissa.numerics.linear import solve_pivoted
 from vibrissa.numerics.rotation import first_axis, rotation_matrix, third_axis, turned
@@ -298,7 +298,7 @@ def _spatial_at(x: Float[Array, "coordinates"], rod: Kirchhoff, pose: Pose | Non
         lambda part: jnp.where(found.done, part, jnp.nan), (found.slopes, found.values)
     )
     by_unknowns, by_x = of_left[:, :-COORDINATES], of_left[:, -COORDINATES:]
-    moved = jnp.stack([solve_pivoted(by_unknowns, -part)[0] for part in by_x.T], axis=1)
+    moved = implicit(by_unknowns, by_x)
     slope = jax.tree.map(
         lambda part: part[..., :-COORDINATES] @ moved + part[..., -COORDINATES:], slope
     )

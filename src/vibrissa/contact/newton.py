@@ -3,11 +3,12 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar
 
+import jax
 import jax.numpy as jnp
 from jax import Array, lax
 from jaxtyping import Float
 
-from vibrissa.numerics.derivatives import exact, tangent_solve
+from vibrissa.numerics.derivatives import exact
 from vibrissa.numerics.linear import solve_small
 
 Scalar = Float[Any, ""]
@@ -99,5 +100,9 @@ def root(residual: Callable[[Unknowns], Unknowns], start: Unknowns) -> Unknowns:
     """The same, differentiable with respect to every θ that `residual` closes over; derivatives are
     those of the conditions, not of the iterations.
     """
-    found: Unknowns = lax.custom_root(residual, start, iterated, tangent_solve)
+
+    def tangent(linear: Callable[[Unknowns], Unknowns], right: Unknowns) -> Unknowns:
+        return solve_small(jax.jacfwd(linear)(jnp.zeros_like(right)), right)[0]
+
+    found: Unknowns = lax.custom_root(residual, start, iterated, tangent)
     return found

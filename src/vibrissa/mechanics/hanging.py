@@ -14,7 +14,7 @@ from jax import Array, lax
 from jaxtyping import Bool, Float
 
 from vibrissa.mechanics.line import across_of
-from vibrissa.numerics.derivatives import by_differences, tangent_solve
+from vibrissa.numerics.derivatives import by_differences, implicit
 from vibrissa.numerics.linear import solve_pivoted
 from vibrissa.numerics.vectors import dot, joined
 
@@ -137,12 +137,19 @@ class _Growth(NamedTuple):
     """So far."""
 
 
-def grown(
-    at_tip: Callable[[Wrench, Any], tuple[Tip, Scalar]],
-) -> tuple[Wrench, Bool[Array, ""]]:
+def grown(at_tip: Callable[..., tuple[Tip, Scalar]], *of: Any) -> tuple[Wrench, Bool[Array, ""]]:
     """Resultants at the clamp that leave nothing at the tip, as the load grows from nothing, and
-    whether the rod finds them and stands all the way; `at_tip` also returns the largest elastic
-    curvature.
+    whether the rod finds them and stands all the way. `at_tip` is given resultants, a share of the
+    load, and whatever these depend on (`of`); it also returns the largest elastic curvature.
+    """
+    load, size = _grown(at_tip, *of)
+    return load, (size < _FOUND) & (dot(load[:3], load[:3]) < _LARGEST_LOAD**2)
+
+
+# Unlike `jax.lax.custom_root`, this costs no tracing where nobody asks for derivatives.
+@eqx.filter_custom_jvp
+def _grown(at_tip: Callable[..., tuple[Tip, Scalar]], *of: Any) -> tuple[Wrench, Scalar]:
+    """The resultants, and the size of the last step; infinite if the rod does not stand.
 
     A share of the load is halved where it changes the resultants much or takes many steps.
     """
@@ -150,7 +157,7 @@ def grown(
     def refine(at: _Growth) -> _Growth:
         share, fresh = at.given + at.more, at.size > _NEAR
         asked = jnp.where(fresh, len(at.x), 0)
-        new, (tip, strain) = by_differences(lambda x: at_tip(x, share), at.x, count=asked)
+        new, (tip, strain) = by_differences(lambda x: at_tip(x, share, *of), at.x, count=asked)
         slopes = jax.tree.map(partial(jnp.where, fresh), new, at.slopes)
         change, _ = solve_pivoted(slopes.load, tip.load)
         x, size = at.x - change, jnp.max(jnp.abs(change))
@@ -179,30 +186,39 @@ def grown(
         going = at.stood & (at.tried < _MOST_TRIED) & (at.more > _LEAST_SHARE)
         return going & (at.size > _SETTLED) & (at.steps < _STEPS)
 
-    def solve(_: Callable[[Array], Array], begin: Array) -> tuple[Array, Scalar]:
-        none, count = jnp.zeros(()), jnp.zeros((), dtype=int)
-        start = _Growth(
-            x=begin,
-            before=begin,
-            given=none,
-            more=none + 1,
-            slopes=Tip(jnp.zeros((6, 6)), jnp.zeros((3, 6))),
-            tangent=jnp.zeros(3),
-            strain=none,
-            size=none + jnp.inf,
-            steps=count,
-            tried=count,
-            stood=none == 0,
-        )
-        last: _Growth = lax.while_loop(unfinished, refine, start)
-        stands_there = last.stood & stands(last.slopes, last.tangent, last.strain)
-        return last.x, jnp.where(stands_there, last.size, jnp.inf)
+    none, count = jnp.zeros(()), jnp.zeros((), dtype=int)
+    start = _Growth(
+        x=jnp.zeros(6),
+        before=jnp.zeros(6),
+        given=none,
+        more=none + 1,
+        slopes=Tip(jnp.zeros((6, 6)), jnp.zeros((3, 6))),
+        tangent=jnp.zeros(3),
+        strain=none,
+        size=none + jnp.inf,
+        steps=count,
+        tried=count,
+        stood=none == 0,
+    )
+    last: _Growth = lax.while_loop(unfinished, refine, start)
+    stands_there = last.stood & stands(last.slopes, last.tangent, last.strain)
+    return last.x, jnp.where(stands_there, last.size, jnp.inf)
 
-    def left(x: Wrench) -> Wrench:
-        return at_tip(x, 1.0)[0].load
 
-    load, size = lax.custom_root(left, jnp.zeros(6), solve, tangent_solve, has_aux=True)
-    return load, (size < _FOUND) & (dot(load[:3], load[:3]) < _LARGEST_LOAD**2)
+def _grown_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Any, Any]:
+    """Those of the equations at the root."""
+    at_tip, of = primals[0], primals[1:]
+    load, size = _grown(*primals)
+
+    def left(load: Wrench, *of: Any) -> Wrench:
+        return at_tip(load, 1.0, *of)[0].load
+
+    _, rate = eqx.filter_jvp(partial(left, load), of, tangents[1:])
+    moved = implicit(jax.jacfwd(left)(load, *of), rate[:, None])[:, 0]
+    return (load, size), (moved, jnp.zeros_like(size))
+
+
+_grown.def_jvp(_grown_jvp)  # type: ignore[no-untyped-call]
 
 
 def stands(slopes: Tip, tangent: Vector, strain: Scalar) -> Bool[Array, ""]:

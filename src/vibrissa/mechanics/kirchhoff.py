@@ -487,19 +487,15 @@ class Kirchhoff(RodModel):
         load = jnp.asarray(resting.load)
         return Hanging(clamp, self.line(clamp, _NO_PUSH, load), load, resting.sound)
 
+    def _under(self, clamp: Clamp, load: Wrench, share: Any) -> Line:
+        """The rod without contact under a share of its load, of given resultants."""
+        assert self.load is not None
+        rod = replace(self, load=Share(self.load, jnp.asarray(share)))
+        return rod.line(clamp, _NO_PUSH, load)
+
     def _hanging(self, clamp: Clamp) -> Hanging:
-        def under(load: Wrench, share: Any) -> Line:
-            assert self.load is not None
-            rod = replace(self, load=Share(self.load, jnp.asarray(share)))
-            return rod.line(clamp, _NO_PUSH, load)
-
-        def at_tip(load: Wrench, share: Any) -> tuple[Tip, Scalar]:
-            line = under(load, share)
-            strain = jnp.max(self._strain(line, _NO_PUSH))
-            return Tip(line.states.load[-1], line.tangent[-1]), strain
-
-        load, found = grown(at_tip)
-        line = under(load, 1.0)
+        load, found = grown(_at_tip, self, clamp)
+        line = self._under(clamp, load, 1.0)
         return Hanging(clamp, line, load, found & (line.error[-1] < _LARGEST_ERROR))
 
     def bent(
@@ -750,6 +746,12 @@ class Kirchhoff(RodModel):
             return Contact(reach, force / f, unknowns[0], incidence, energy, gap, load, error)
 
         return crossing, most_zeros(slopes)
+
+
+def _at_tip(load: Wrench, share: Any, rod: Kirchhoff, clamp: Clamp) -> tuple[Tip, Scalar]:
+    """What a share of a rod's load leaves at its tip, and the rod's largest elastic curvature."""
+    line = rod._under(clamp, load, share)
+    return Tip(line.states.load[-1], line.tangent[-1]), jnp.max(rod._strain(line, _NO_PUSH))
 
 
 def _along(axes: tuple[Vector, ...], wrench: Wrench) -> Wrench:

@@ -81,12 +81,3 @@ def implicit(by_unknowns: Float[Array, "n n"], by_parameters: Any) -> Any:
         return -solve_small(by_unknowns, right)[0]
 
     return jax.tree.map(jax.vmap(column, in_axes=1, out_axes=1), by_parameters)
-
-
-def tangent_solve(
-    linear: Callable[[Float[Array, "n"]], Float[Array, "n"]], right: Float[Array, "n"]
-) -> Float[Array, "n"]:
-    """Where a linear function has a value: with it `jax.lax.custom_root` differentiates a root, to
-    what `implicit` gives.
-    """
-    return solve_small(jax.jacfwd(linear)(jnp.zeros_like(right)), right)[0]

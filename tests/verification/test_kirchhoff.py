@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -233,3 +234,26 @@ def test_steps_without_length_change_nothing(rod: vb.Rod, reach: float) -> None:
 
     for ours, theirs in zip(*map(jax.jit(bent), (whole, alone)), strict=True):
         np.testing.assert_allclose(ours, theirs, atol=1e-14)
+
+
+def test_a_hanging_rod_changes_with_its_weight_as_its_derivatives_say() -> None:
+    """What holds it, where its middle is, and its energy, against central differences; the force
+    that holds it is its weight.
+    """
+    loaded, nodes = HEAVY.loaded(vb.Loads(gravity=np.ones(3))), np.linspace(0, 1, 13)
+
+    def hanging(gravity: jax.Array) -> jax.Array:
+        rod = eqx.tree_at(lambda rod: rod.loads.gravity, loaded, gravity)
+        free = spatial(rod, nodes=nodes).free(ORIGIN)
+        return jnp.concatenate([free.reactions, free.at(0.5)[0], free.energy[None]])
+
+    @jax.jit
+    def told(gravity: jax.Array) -> tuple[jax.Array, jax.Array]:
+        return jax.jvp(hanging, (gravity,), (way,))
+
+    gravity, way, change = jnp.array([0.5, 3.0, -9.81]), jnp.array([0.3, -0.5, 0.8]), 1e-3
+    _, slope = told(gravity)
+    (after, _), (before, _) = told(gravity + change * way), told(gravity - change * way)
+    np.testing.assert_allclose(slope, (after - before) / (2 * change), atol=1e-9)
+    mass = HEAVY.linear_density * HEAVY.length * (1 + 0.4 + 0.4**2) / 3
+    np.testing.assert_allclose(slope[:3], -mass / HEAVY.force_scale * way, atol=1e-12)

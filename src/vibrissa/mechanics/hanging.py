@@ -206,7 +206,7 @@ def _grown(at_tip: Callable[..., tuple[Tip, Scalar]], *of: Any) -> tuple[Wrench,
 
 
 def _grown_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Any, Any]:
-    """Those of the equations at the root."""
+    """Derivatives of the resultants, from those of what is left at the tip."""
     at_tip, of = primals[0], primals[1:]
     load, size = _grown(*primals)
 

@@ -14,8 +14,9 @@ from jax import Array
 from jaxtyping import Bool, Float, Int
 
 from vibrissa.contact import Law, Reached, Scene, State, Touching, touching
-from vibrissa.forward.march import SHARP, Steps, entering, march, newton
+from vibrissa.forward.march import Steps, entering, march
 from vibrissa.forward.path import Stretch, chosen, either
+from vibrissa.forward.solve import SHARP, newton
 from vibrissa.geometry.rotation import lengths
 from vibrissa.mechanics.model import RodModel
 from vibrissa.numerics.bracket import roots

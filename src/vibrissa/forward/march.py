@@ -6,7 +6,6 @@ Jacobian determinant, or has the free rod inside the object without a first cont
 marks that lane as lost; the sweep resolves the stretch, and the march resumes after it.
 """
 
-from collections.abc import Callable
 from enum import IntEnum
 from functools import partial
 from itertools import accumulate
@@ -18,11 +17,12 @@ import numpy as np
 from jax import Array, lax
 from jaxtyping import Bool, Float, Int
 
-from vibrissa.contact import Law, Reached, Scene, State, Touching, step_from, touching
+from vibrissa.contact import Law, Reached, Scene, State
+from vibrissa.forward.foretold import ORDERS, QUADRATIC, Differences, Slopes, best_of, with_value
 from vibrissa.forward.path import chosen
-from vibrissa.mechanics.model import Clamp, RodModel
+from vibrissa.forward.solve import SHARP, solved, tolerance_of
+from vibrissa.mechanics.model import Clamp
 from vibrissa.numerics.bracket import POINTS
-from vibrissa.numerics.derivatives import CHANGE, exact
 from vibrissa.numerics.lanes import WIDTH, Lanes, lanes
 from vibrissa.numerics.rows import row_of, with_row
 from vibrissa.numerics.vectors import joined
@@ -81,34 +81,15 @@ class Steps(NamedTuple):
 
 class _Carry(NamedTuple):
     last: Reached
-    differences: list[Float[Any, "expected"]]
-    """Backward differences of point, force and the rod's own unknowns; those of order 0 are the
-    values themselves.
-    """
+    differences: Differences
+    """Of point, force and the rod's own unknowns."""
     age: Array
     """Positions since the contact began; differences of higher order are not known yet: zero."""
     mode: Array
+    slopes: Slopes | None
+    """Where they are those of a rougher rod."""
 
 
-_ORDERS = 8
-"""Differences kept: trails with steps of 0.01 L then need about one Newton step per position."""
-_UNTESTED = 2
-"""Order to which a contact is extrapolated without checking how well that did before."""
-_BETTER = 2.0
-"""Factor by which a higher order has to do better: after a kink all orders do equally badly, and
-the highest overshoots most.
-"""
-_NEARBY, _KEPT = 1e-5, 0.05
-"""Residual from which on slopes serve for the next Newton step too, as long as one reduces the
-residual to that fraction: new ones gain three digits, but cost more than the step itself.
-"""
-RUBBING = 1e-11
-"""Largest residual from which the next Newton step, converging quadratically, is the last with
-friction, where errors in what is passed on, computed before that step, add up; on a branch it is
-the rod's own.
-"""
-SHARP = 1e-13
-"""The same for an event, whose figure is computed before the last step: what rounding leaves."""
 JUMP, JUMP_FLOOR = 8.0, 0.02
 """A contact that moves farther [L] than this many times the clamp's motion, plus a floor, has
 jumped: before a smooth change of phase it may move several times as fast as the clamp.
@@ -119,156 +100,12 @@ _REVERSED = 0.05
 """And for the force, besides that fraction of its change, as a fraction of itself: past a fold it
 is another one, even where the contact is nearly in its place.
 """
-MOST_ITERATIONS = {True: 12, False: 25}
-"""On a branch, where a poor guess is better left to `follow`; and with friction, whose conditions
-have corners.
-"""
-
-
 STABLE = -1.0
 """Sign of the Jacobian's determinant on a stable branch."""
 _FAN, _SHORTEST_TRAIL = 1 + POINTS, 256
 """Positions of lanes that only locate an event, and room for those of a trail."""
 SINGLE = 8
 """Up to this many lanes are walked one after another; more are quicker side by side."""
-
-
-def tolerance_of(scene: Scene, law: Law) -> float:
-    """Largest residual from which the next Newton step is the last."""
-    return scene.rod.last_step if law.branch else RUBBING
-
-
-class Solved(NamedTuple):
-    """Result of Newton's method."""
-
-    reached: Reached
-    residual: Scalar
-    figure: Scalar
-    phase: Scalar
-
-
-def solved(
-    scene: Scene,
-    law: Law,
-    guess: State,
-    clamp: Clamp,
-    before: Reached | None,
-    side: Float[Any, "3"] | None,
-    active: Bool[Any, ""],
-    tolerance: Scalar,
-) -> Solved:
-    """Newton's method for one position, given the previous one, if the lane is active; the step
-    from a residual within the tolerance is the last.
-    """
-
-    def conditions(x: Unknowns, rod: RodModel, near: Scalar | None) -> tuple[Unknowns, Touching]:
-        own = scene._replace(rod=rod)
-        found = touching(own, law, State.of(x, rod.unknowns), clamp, before, side, near)
-        return found.residual, found
-
-    found = newton(scene.rod, law, conditions, guess.flat, tolerance, active=active)
-    reached = Reached(State.of(found.x, scene.rod.unknowns), found.arc_length, found.tangent)
-    figure = found.determinant if law.branch else found.beyond
-    return Solved(reached, found.residual, figure, found.phase)
-
-
-class Found(NamedTuple):
-    """Where Newton's method ended; everything but `x` is from before its last step."""
-
-    x: Unknowns
-    residual: Scalar
-    jacobian: Float[Array, "unknowns unknowns"]
-    determinant: Scalar
-    arc_length: Scalar
-    tangent: Float[Array, "3"]
-    phase: Scalar
-    beyond: Scalar
-
-
-def newton(
-    rod: RodModel,
-    law: Law,
-    conditions: Callable[[Unknowns, RodModel, Scalar | None], tuple[Unknowns, Touching]],
-    guess: Unknowns,
-    tolerance: Scalar | float,
-    *,
-    active: Bool[Any, ""] | bool = True,
-) -> Found:
-    """Newton's method for conditions on a rod, or on the one that gives slopes, near an arc length
-    if that is known; the step from a residual within the tolerance is the last.
-    """
-
-    def iterate(state: tuple[Found, Array]) -> tuple[Found, Array]:
-        return _once(rod, law, conditions, state[0]), state[1] + 1
-
-    def unfinished(state: tuple[Found, Array]) -> Array:
-        return active & (state[0].residual > tolerance) & (state[1] < MOST_ITERATIONS[law.branch])
-
-    nan = jnp.full((), jnp.nan)
-    blank = jnp.full((len(guess),) * 2, jnp.nan)
-    start = Found(guess, jnp.full((), jnp.inf), blank, nan, nan, jnp.full(3, jnp.nan), nan, nan)
-    found: tuple[Found, Array] = lax.while_loop(
-        unfinished, iterate, (start, jnp.zeros((), dtype=int))
-    )
-    return found[0]
-
-
-def _once(
-    rod: RodModel,
-    law: Law,
-    conditions: Callable[[Unknowns, RodModel, Scalar | None], tuple[Unknowns, Touching]],
-    last: Found,
-) -> Found:
-    """One Newton step from where the last one led."""
-    rough = rod.rough
-
-    def values(
-        x: Unknowns, rod: RodModel = rod, near: Scalar | None = None
-    ) -> tuple[Unknowns, tuple[Any, ...]]:
-        residual, found = conditions(x, rod, near)
-        return residual, (found.bent.arc_length, found.tangent, found.phase, found.beyond)
-
-    def derivatives(_: Any, x: Unknowns) -> tuple[Array, tuple[Unknowns, Any]]:
-        if rough is None:
-            return rod.derivatives(values, x)
-        if not law.branch:
-            # Friction has corners, and at some of them contacts begin.
-            return exact(lambda x: (values(x, rough)[0], ()), x)[0], values(x)
-        return _roughly(rod, rough, values, last, x)
-
-    step, told = step_from(values, last.x, derivatives=derivatives)
-    return Found(step.x, step.residual, step.jacobian, step.determinant, *told)
-
-
-def _roughly(
-    rod: RodModel, rough: RodModel, values: Callable[..., Any], last: Found, x: Unknowns
-) -> tuple[Array, tuple[Unknowns, Any]]:
-    """Slopes (k, k) at x (k,), and the conditions (k,) on a rod with what they tell: differences of
-    those on the rougher one near the same contact, or the slopes of the last step. In one loop: the
-    code of rods takes longest to compile.
-    """
-    places = jnp.concatenate([x[None], x + CHANGE * jnp.eye(len(x) + 1, len(x), -1)])
-
-    def evaluate(state: tuple[Array, Array, Array, Any]) -> tuple[Array, Array, Array, Any]:
-        row, most, rows, told = state
-        first = row == 0
-        either = partial(
-            jax.tree.map, lambda one, other: one if one is other else jnp.where(first, one, other)
-        )
-        near = jnp.where(first, jnp.nan, told[0])
-        residual, new = values(row_of(places, row), either(rod, rough), near)
-        largest = jnp.max(jnp.abs(residual))
-        kept = (last.residual < _NEARBY) & (largest < _KEPT * last.residual)
-        most = jnp.where(first & ~kept, len(places) - 1, most)
-        return row + 1, most, with_row(rows, residual, row), either(new, told)
-
-    none, nan = jnp.zeros((), dtype=int), jnp.full((), jnp.nan)
-    blank = jnp.zeros(places.shape), (nan, jnp.full(3, jnp.nan), nan, nan)
-    _, most, rows, told = lax.while_loop(
-        lambda state: state[0] <= state[1], evaluate, (none, none, *blank)
-    )
-    slopes = jnp.where(most > 0, (rows[2:] - rows[1]).T / CHANGE, last.jacobian)
-    return slopes, (rows[0], told)
 
 
 def nowhere(scene: Scene, law: Law, *shape: int, fill: float = np.nan) -> Reached:
@@ -370,7 +207,8 @@ def _walk(shared: tuple[Scene, Law, Int[Array, ""]], legs: Legs) -> Steps:
     waiting = jnp.asarray(int(Mode.WAITING))
     begin = row_of(legs.clamp, legs.start)
     none = jnp.zeros(4 + scene.rod.unknowns)
-    carry = _Carry(legs.reached, [none] * _ORDERS, jnp.zeros((), dtype=int), waiting)
+    slopes = Slopes.none(len(none)) if law.branch and scene.rod.rough is not None else None
+    carry = _Carry(legs.reached, [none] * ORDERS, jnp.zeros((), dtype=int), waiting, slopes)
 
     def advance(index: Array, state: tuple[_Carry, Steps]) -> tuple[_Carry, Steps]:
         carry, row = _advance(scene, law, legs, begin, index, state[0])
@@ -393,7 +231,7 @@ def _advance(
     active = touches | entering
     last = carry.last
     foretold = list(accumulate(carry.differences))
-    expected = _expected(law, carry, foretold)
+    expected = best_of(carry.differences, carry.age) if law.branch else foretold[QUADRATIC]
     # The tangential force starts from its last value, as sliding may stop or turn.
     guess = State(expected[:3], expected[3], last.state.lean, expected[4:])
     guess = jax.tree.map(lambda met, other: jnp.where(entering, met, other), meeting.state, guess)
@@ -406,7 +244,8 @@ def _advance(
     ]
     side = before.state.point - come_from[0].point
     guess = law.begun(scene, guess, before, come_from[0], clamp)
-    found = solved(scene, law, guess, clamp, before, side, active, legs.tolerance)
+    known = carry.slopes and carry.slopes.at(jnp.where(touches, carry.age + 1, 1))
+    found = solved(scene, law, guess, clamp, before, side, active, legs.tolerance, known)
 
     converged = found.residual <= tolerance_of(scene, law)
     state = found.reached.state
@@ -442,8 +281,9 @@ def _advance(
     fresh = entering | given
     age = jnp.where(fresh, 0, carry.age + 1)
     here = joined(reached.state.point, reached.state.force, reached.state.own)
-    changes = [jnp.where(age > order, here - at, 0.0) for order, at in enumerate(foretold[:-1])]
-    following = _Carry(reached, [here, *changes], age, mode)
+    differences = with_value(carry.differences, here, age)
+    slopes = carry.slopes and carry.slopes.after(age, found)
+    following = _Carry(reached, differences, age, mode, slopes)
     following = jax.tree.map(
         lambda kept, new: jnp.where(legs.fanned & ~given, kept, new), carry, following
     )
@@ -452,21 +292,6 @@ def _advance(
 
 def _length(vector: Float[Array, "n"]) -> Scalar:
     return jnp.sqrt(jnp.sum(vector**2))
-
-
-def _expected(
-    law: Law, carry: _Carry, foretold: list[Float[Array, "expected"]]
-) -> Float[Array, "expected"]:
-    """Point, force and the rod's own unknowns, extrapolated; without friction to the order that
-    would have predicted the last position best: its error there is the difference of the next.
-    """
-    expected, least = foretold[_UNTESTED], jnp.asarray(jnp.inf)
-    for order in range(_UNTESTED, _ORDERS - 1) if law.branch else ():
-        missed = _BETTER * _length(carry.differences[order + 1])
-        better = (carry.age > order) & (missed < least)
-        expected = jnp.where(better, foretold[order], expected)
-        least = jnp.where(better, missed / _BETTER, least)
-    return expected
 
 
 def _next(last: Array, before: Array, second_before: Array, age: Array) -> Array:

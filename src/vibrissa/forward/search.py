@@ -23,8 +23,9 @@ from vibrissa.forward.assess import (
     deepest,
     levels,
 )
-from vibrissa.forward.march import SHARP, from_seeds, solved
+from vibrissa.forward.march import from_seeds
 from vibrissa.forward.path import chosen
+from vibrissa.forward.solve import SHARP, solved
 from vibrissa.mechanics.model import Clamp
 from vibrissa.numerics.lanes import AnyArray, lanes
 from vibrissa.surfaces import Offset

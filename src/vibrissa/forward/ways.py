@@ -21,9 +21,10 @@ from vibrissa.forward.approach import Meeting, clearances
 from vibrissa.forward.assess import Assessment, assess, reached_by
 from vibrissa.forward.events import EventKind
 from vibrissa.forward.locate import Indicator, Place, located, stepped
-from vibrissa.forward.march import JUMP, JUMP_FLOOR, tolerance_of
+from vibrissa.forward.march import JUMP, JUMP_FLOOR
 from vibrissa.forward.path import Stretch, chosen
 from vibrissa.forward.search import Settled
+from vibrissa.forward.solve import tolerance_of
 from vibrissa.numerics.kernel import Kernel
 from vibrissa.numerics.linear import solve_pivoted
 

@@ -68,3 +68,22 @@ def test_a_tapered_curved_rod_gives_way_where_shooting_is_singular(name: str) ->
     aside = scan.point[1, :, 1] / LENGTH
     assert np.all(np.diff(aside[after - 5 : after + 5]) > 0)
     assert aside[after - 3] < 20 * BESIDE and aside[after + 3] > 1000 * BESIDE
+
+
+def test_it_gives_way_at_one_place_with_any_steps() -> None:
+    """Where steps are short, slopes of the conditions are foretold at two positions of three."""
+    surface, _ = SURFACES["bowl"]
+    way = 1.2 - 0.005 * np.arange(241)
+    position = np.stack([np.column_stack([way, 0 * way + y, 0 * way]) for y in (0, BESIDE)])
+    coarse, fine = (vb.scan(ROD, surface, vb.Trail(position[:, ::n] * LENGTH)) for n in (8, 1))
+    np.testing.assert_array_equal(coarse.status, fine.status[:, ::8])
+    np.testing.assert_array_equal(coarse.kind, fine.kind[:, ::8])
+    for few, many, unit in (
+        (coarse.point, fine.point, LENGTH),
+        (coarse.reactions.force, fine.reactions.force, ROD.force_scale),
+    ):
+        np.testing.assert_allclose(few / unit, many[:, ::8] / unit, rtol=0, atol=1e-10)
+    events = [[(event.kind, event.trail) for event in scan.events] for scan in (coarse, fine)]
+    assert events[0] == events[1]
+    places = [[event.parameter for event in scan.events] for scan in (coarse, fine)]
+    np.testing.assert_allclose(*places, rtol=0, atol=1e-9)

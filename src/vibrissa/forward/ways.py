@@ -247,7 +247,7 @@ class Branch(Way):
         try:
             return at(
                 scipy.optimize.brentq(
-                    lambda length: figure(at(length)), 0.0, step, xtol=1e-15, rtol=1e-14
+                    lambda length: figure(at(length)), 0.0, step, xtol=self._scene.rod.last_step
                 )
             )
         except ValueError:

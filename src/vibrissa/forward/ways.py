@@ -151,8 +151,7 @@ def _correct(
     size = jnp.max(jnp.abs(end.step * weights))
     # The last step is taken too, unless the conditions leave the point free and it leads astray.
     last = jnp.where((most > 0) & (size < _ASTRAY), end.step, 0.0)
-    sound = (end.miss < _CONVERGED) | ((end.miss < _SOUND) & (size < _NO_STEP))
-    found: _Corrected = end._replace(y=end.y - last, miss=jnp.where(sound, end.miss, jnp.inf))
+    found: _Corrected = end._replace(y=end.y - last)
     return found
 
 
@@ -218,7 +217,7 @@ class Branch(Way):
     def _on_plane(self, guess: Any, normal: Any, origin: Any) -> _Corrected | None:
         """Solution on a plane, None without convergence."""
         found = self._solved(guess, normal, origin)
-        return found if np.isfinite(found.y).all() and np.isfinite(found.miss) else None
+        return found if np.isfinite(found.y).all() and found.miss < _SOUND else None
 
     def _at_fraction(self, guess: Any, fraction: float, ahead: Any = None) -> Place | None:
         """Equilibrium at a given fraction of the stretch."""
@@ -233,27 +232,27 @@ class Branch(Way):
             return None
         return self._place(found, start.onward)
 
-    def _root(self, start: Place, step: float, figure: Callable[[Place], float]) -> Place:
-        """Place between `start` and one step on where a figure, of opposite sign at the two, is
-        zero.
-        """
+    def _root(self, start: Place, end: Place, figure: Callable[[Place], float]) -> Place | None:
+        """Place between two where a figure is zero; None where the branch is lost on the way."""
+        step = float(start.onward @ ((_of(end) - _of(start)) * self._weights))
 
         def at(length: float) -> Place:
-            place = self._along(start, length) if length > 0 else start
+            place = {0.0: start, step: end}.get(length) or self._along(start, length)
             if place is None:
-                raise ValueError
+                raise _LostError
             return place
 
+        if figure(start) * figure(end) >= 0:
+            # No root between them, to rounding: take the end nearer to zero.
+            return min(start, end, key=lambda place: abs(figure(place)))
         try:
             return at(
                 scipy.optimize.brentq(
                     lambda length: figure(at(length)), 0.0, step, xtol=self._scene.rod.last_step
                 )
             )
-        except ValueError:
-            # No root between them, to rounding: take the end nearer to zero.
-            end = self._along(start, step)
-            return start if end is None or abs(figure(start)) <= abs(figure(end)) else end
+        except _LostError:
+            return None
 
     def track(self, start: Place, happened: list[Happened]) -> End:
         """As in `Way`."""
@@ -263,20 +262,24 @@ class Branch(Way):
                 beyond = self._beyond(here)
                 if beyond is None:
                     return End("snapped", here)
-                # All that changes there changes at the corner.
-                self._changes(here, beyond, 0.0, happened)
+                happened += self._changes(here, beyond, corner=here) or []
                 here, step = beyond, _FIRST_STEP
             following = self._along(here, step)
             if following is not None and following.onward[-1] <= 0:
-                return End("snapped", self._root(here, step, lambda place: place.onward[-1]))
+                fold = self._root(here, following, lambda place: place.onward[-1])
+                if fold is not None:
+                    return End("snapped", fold)
+                following = None
             if following is not None and following.fraction >= 1:
-                following, step = self._arrival(here, following, step)
+                following = self._arrival(here, following)
             if following is not None and following.reached.state.force < 0:
-                release = here
+                release: Place | None = here
                 if here.reached.state.force > 0:
-                    release = self._root(here, step, lambda place: float(place.reached.state.force))
-                if abs(release.reached.state.force) <= NO_FORCE:
-                    self._changes(here, release, step, happened)
+                    release = self._root(
+                        here, following, lambda place: float(place.reached.state.force)
+                    )
+                if release is not None and abs(release.reached.state.force) <= NO_FORCE:
+                    happened += self._changes(here, release) or []
                     return End("released", release)
                 # Not a force that falls to zero, but another branch on which it pulls.
                 following = None
@@ -288,21 +291,22 @@ class Branch(Way):
                 # near another one is then followed past it.
                 step = max(step / 4, 0.5 * _BIFURCATION_STEP)
                 continue
-            self._changes(here, following, step, happened)
+            changes = self._changes(here, following)
+            if changes is None:
+                step /= 2
+                continue
+            happened += changes
             here = following
             if here.fraction >= 1:
                 return End("arrived", here)
             step = min(1.5 * step, _LONGEST_STEP)
         return End("stuck", here)
 
-    def _arrival(self, here: Place, following: Place, step: float) -> tuple[Place | None, float]:
-        """The place at the end of the stretch, between two others, and the step to it."""
+    def _arrival(self, here: Place, following: Place) -> Place | None:
+        """The place at the end of the stretch, between two others."""
         y, beyond = _of(here), _of(following)
         between = y + (beyond - y) * (1 - y[-1]) / (beyond[-1] - y[-1])
-        end = self._at_fraction(between, 1.0, here.onward)
-        if end is None:
-            return None, step
-        return end, float(here.onward @ ((_of(end) - y) * self._weights))
+        return self._at_fraction(between, 1.0, here.onward)
 
     def _beyond(self, here: Place) -> Place | None:
         """Past a corner of the branch, where the phases meet or the object's curvature jumps: the
@@ -318,10 +322,14 @@ class Branch(Way):
         return None
 
     def _changes(
-        self, here: Place, following: Place, step: float, happened: list[Happened]
-    ) -> None:
+        self, here: Place, following: Place, corner: Place | None = None
+    ) -> list[Happened] | None:
+        """What changes between two places, or at a corner; None if it is not found where."""
+        happened = list[Happened]()
         if (here.phase > 0) != (following.phase > 0):
-            change = self._root(here, step, lambda place: place.phase)
+            change = corner or self._root(here, following, lambda place: place.phase)
+            if change is None:
+                return None
             happened.append((_phase_change(following), change.fraction, change.reached.state.point))
         if here.figure * following.figure < 0:
             # The step is short here: the determinant is linear between its ends.
@@ -330,6 +338,11 @@ class Branch(Way):
             lost = following.figure > 0
             kind = EventKind.LATERAL_INSTABILITY if lost else EventKind.LATERAL_RECOVERY
             happened.append((kind, float(y[-1]), y[:3]))
+        return happened
+
+
+class _LostError(Exception):
+    """A branch is not found where it is looked for."""
 
 
 def _phase_change(following: Place) -> EventKind:

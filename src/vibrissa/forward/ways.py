@@ -199,17 +199,25 @@ class Branch(Way):
         result: _Corrected = jax.tree.map(np.asarray, found)
         return result
 
-    def _place(self, found: _Corrected, ahead: Any) -> Place | None:
+    def _place(self, found: _Corrected, before: Place | None) -> Place | None:
         if not np.all(np.isfinite(found.jacobian)):
             return None
         tangent = np.linalg.svd(found.jacobian / self._weights)[2][-1]
-        onward = tangent[-1] if ahead is None else tangent @ ahead
+        figure = float(signed(np.linalg.det(found.jacobian[:, :-1]), np))
+        if before is None:
+            onward = tangent[-1]
+        elif figure * before.figure > 0:
+            # At a corner it may turn by more than a right angle; while the determinant keeps its
+            # sign it goes the same way along the stretch.
+            onward = tangent[-1] * before.onward[-1]
+        else:
+            onward = tangent @ before.onward
         y = found.y
         state = State(y[:3], y[3], y[:0], y[4:-1])
         return Place(
             float(y[-1]),
             Reached(state, found.arc_length, found.tangent),
-            float(signed(np.linalg.det(found.jacobian[:, :-1]), np)),
+            figure,
             float(found.phase),
             tangent if onward > 0 else -tangent,
         )
@@ -219,10 +227,12 @@ class Branch(Way):
         found = self._solved(guess, normal, origin)
         return found if np.isfinite(found.y).all() and found.miss < _SOUND else None
 
-    def _at_fraction(self, guess: Any, fraction: float, ahead: Any = None) -> Place | None:
+    def _at_fraction(
+        self, guess: Any, fraction: float, before: Place | None = None
+    ) -> Place | None:
         """Equilibrium at a given fraction of the stretch."""
         found = self._on_plane(np.append(guess[:-1], fraction), self._to_fraction, guess)
-        return None if found is None else self._place(found, ahead)
+        return None if found is None else self._place(found, before)
 
     def _along(self, start: Place, step: float) -> Place | None:
         """Place one step of arc length further on."""
@@ -230,7 +240,7 @@ class Branch(Way):
         found = self._on_plane(y + step * start.onward / self._weights, start.onward, y)
         if found is None or np.abs((found.y - y) * self._weights).max() > 3 * step:
             return None
-        return self._place(found, start.onward)
+        return self._place(found, start)
 
     def _root(self, start: Place, end: Place, figure: Callable[[Place], float]) -> Place | None:
         """Place between two where a figure is zero; None where the branch is lost on the way."""
@@ -273,15 +283,10 @@ class Branch(Way):
             if following is not None and following.fraction >= 1:
                 following = self._arrival(here, following)
             if following is not None and following.reached.state.force < 0:
-                release: Place | None = here
-                if here.reached.state.force > 0:
-                    release = self._root(
-                        here, following, lambda place: float(place.reached.state.force)
-                    )
-                if release is not None and abs(release.reached.state.force) <= NO_FORCE:
+                release = self._release(here, following)
+                if release is not None:
                     happened += self._changes(here, release) or []
                     return End("released", release)
-                # Not a force that falls to zero, but another branch on which it pulls.
                 following = None
             if following is None:
                 step /= 2
@@ -302,11 +307,20 @@ class Branch(Way):
             step = min(1.5 * step, _LONGEST_STEP)
         return End("stuck", here)
 
+    def _release(self, here: Place, following: Place) -> Place | None:
+        """Where the force falls to zero; None if it pulls on another branch."""
+
+        def force(place: Place) -> float:
+            return float(place.reached.state.force)
+
+        release = self._root(here, following, force) if force(here) > 0 else here
+        return release if release is not None and abs(force(release)) <= NO_FORCE else None
+
     def _arrival(self, here: Place, following: Place) -> Place | None:
         """The place at the end of the stretch, between two others."""
         y, beyond = _of(here), _of(following)
         between = y + (beyond - y) * (1 - y[-1]) / (beyond[-1] - y[-1])
-        return self._at_fraction(between, 1.0, here.onward)
+        return self._at_fraction(between, 1.0, here)
 
     def _beyond(self, here: Place) -> Place | None:
         """Past a corner of the branch, where the phases meet or the object's curvature jumps: the

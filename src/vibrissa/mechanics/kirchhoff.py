@@ -608,7 +608,8 @@ class Kirchhoff(RodModel):
         rest, s = self.beyond(bent.inner, bent.arc_length), bent.arc_length
         place = jnp.maximum(1.0 - s, 0.0)
         clamp = bent.point - bent.to_contact
-        shift = bent.to_contact - bent.inner.line.at(s)[0]
+        # It begins where `points` do.
+        shift = bent.inner.line.at(s)[0] - rest.at(s)[0]
         points: Float[Array, "n 3"] = jax.vmap(
             lambda part: clamp + shift + rest.at(s + part * place)[0]
         )(jnp.asarray(share))

@@ -1,0 +1,121 @@
+"""Where a branch has a corner: tip and tangential contact meet there, or the object's curvature jumps."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation, Slerp
+
+import vibrissa as vb
+
+RADIUS = 0.01
+STIFFNESS = {"length": 1.0, "youngs_modulus": 4 / (np.pi * RADIUS**4)}
+PLAIN = vb.Rod.cylinder(radius=RADIUS, **STIFFNESS)
+
+
+def tapered(tip: float) -> vb.Rod:
+    return vb.Rod.tapered(base_radius=RADIUS, tip_radius=tip * RADIUS, **STIFFNESS)
+
+
+def trail(start: vb.Trail, count: int) -> vb.Trail:
+    """Between two poses, position and orientation in proportion."""
+    share = np.linspace(0, 1, count)
+    position = start.position[0] + share[:, None] * (start.position[1] - start.position[0])
+    turn = Slerp([0, 1], Rotation.from_quat(start.orientation))
+    return vb.Trail(position, turn(share).as_quat())
+
+
+ALONG = vb.Trail(
+    np.array([[0.5045281, 0.13569744, 0.08078182], [-0.44067415, 0.28065759, 0.05180606]]),
+    np.tile([0.09483163, -0.07515118, 0.06492252, 0.9905273], (2, 1)),
+)
+TURNING = vb.Trail(
+    np.array([[-0.44485092, -0.65366882, 0.07808839], [-0.07925896, 0.78669771, -0.08432]]),
+    np.array(
+        [
+            [0.12742312, 0.0509483, -0.05125476, 0.98921209],
+            [0.08510573, -0.14089057, 0.18644646, 0.96857864],
+        ]
+    ),
+)
+
+
+@pytest.mark.parametrize(
+    ("tip", "torus", "way", "kind"),
+    [
+        (
+            0.25949,
+            vb.surfaces.Torus(
+                center=(0, 0, 1.19176562),
+                axis=(-0.63468605, 0.57452925, -0.51680739),
+                major_radius=0.21439807,
+                minor_radius=0.03372508,
+            ),
+            ALONG,
+            vb.EventKind.SNAP,
+        ),
+        (
+            0.0500952,
+            vb.surfaces.Torus(
+                center=(0, 0, 1.02406869),
+                axis=(-0.06370895, -0.18032756, -0.98154121),
+                major_radius=0.36801758,
+                minor_radius=0.14381103,
+            ),
+            TURNING,
+            vb.EventKind.TIP_TO_TANGENTIAL,
+        ),
+    ],
+)
+def test_what_happens_at_a_corner_does_so_at_one_place_with_any_steps(
+    tip: float, torus: vb.surfaces.Torus, way: vb.Trail, kind: vb.EventKind
+) -> None:
+    """A contact that runs off the tip, where the branch turns back, and one that moves onto the rod of
+    a thin tip, whose conditions rounding leaves at 1e-10.
+    """
+    events = [vb.scan(tapered(tip), torus, trail(way, count)).events for count in (61, 121, 241)]
+    kinds = [[event.kind for event in some] for some in events]
+    assert kinds == [kinds[0]] * len(kinds) and kind in kinds[0]
+    places = [[event.parameter for event in some] for some in events]
+    assert np.ptp(places, axis=0).max() < 1e-8
+
+
+def test_a_branch_goes_on_past_an_edge_where_it_turns_by_more_than_a_right_angle() -> None:
+    """A box's edges, rounded by the rod's radius, meet its faces where the curvature jumps."""
+    box = vb.surfaces.Box(center=(0, 0, 0), half_extents=(0.37145469, 0.26465183, 0.18360264))
+    turned = box.placed((-0.44688162, -0.45590204, -0.25206318, 0.72726495), (0, 0, 0.80956077))
+    way = vb.Trail(
+        np.array([[-0.13236793, -0.73272397, 0.08474175], [-0.01104568, 0.7445023, 0.09302319]]),
+        np.array(
+            [
+                [-0.06944086, -0.02954961, 0.17680729, 0.98134804],
+                [0.21050729, -0.013913, 0.35003207, 0.91267226],
+            ]
+        ),
+    )
+    few, many = (
+        vb.scan(PLAIN, turned, trail(way, count), finite_radius=True) for count in (61, 241)
+    )
+    np.testing.assert_allclose(few.point, many.point[::4], rtol=0, atol=1e-8)
+    kinds = [[event.kind for event in scan.events] for scan in (few, many)]
+    assert kinds[0] == kinds[1]
+
+
+def test_a_tip_contact_of_a_rod_of_no_taper_lies_as_deep_as_the_closed_form_has_it() -> None:
+    """Its arc length is the rod's to rounding, on either side of it: nothing lies behind."""
+    torus = vb.surfaces.Torus(
+        center=(0, 0, 0.94165834),
+        axis=(-0.86347892, -0.16370138, 0.47708072),
+        major_radius=0.27682732,
+        minor_radius=0.11593166,
+    )
+    way = vb.Trail(
+        np.array([[-0.48325192, 0.29248253, -0.07554121], [0.42776575, -0.36891047, -0.02368111]]),
+        np.array(
+            [
+                [0.13499925, 0.0435484, -0.14379174, 0.97938893],
+                [0.07122769, 0.1196467, -0.26656949, 0.95370435],
+            ]
+        ),
+    )
+    scan, plain = (vb.scan(rod, torus, trail(way, 201)) for rod in (tapered(1 - 1e-10), PLAIN))
+    np.testing.assert_array_equal(scan.status, plain.status)
+    np.testing.assert_allclose(scan.depth, plain.depth, rtol=0, atol=1e-6)

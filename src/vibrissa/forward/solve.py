@@ -59,7 +59,7 @@ def solved(
     side: Float[Any, "3"] | None,
     active: Bool[Any, ""],
     tolerance: Scalar,
-    slopes: Float[Array, "unknowns unknowns"] | None = None,
+    slopes: Jacobian | None = None,
 ) -> Solved:
     """Newton's method for one position, given the previous one, if the lane is active; the step
     from a residual within the tolerance is the last. Slopes that are known, and not NaN, serve from
@@ -82,7 +82,7 @@ class Found(NamedTuple):
 
     x: Unknowns
     residual: Scalar
-    jacobian: Float[Array, "unknowns unknowns"]
+    jacobian: Jacobian
     determinant: Scalar
     arc_length: Scalar
     tangent: Float[Array, "3"]
@@ -96,12 +96,13 @@ def newton(
     conditions: Callable[[Unknowns, RodModel, Scalar | None], tuple[Unknowns, Touching]],
     guess: Unknowns,
     tolerance: Scalar | float,
-    slopes: Float[Array, "unknowns unknowns"] | None = None,
+    slopes: Jacobian | None = None,
     *,
     active: Bool[Any, ""] | bool = True,
 ) -> Found:
     """Newton's method for conditions on a rod, or on the one that gives slopes, near an arc length
-    if that is known; the step from a residual within the tolerance is the last.
+    if that is known; the step from a residual within the tolerance is the last. Slopes as in
+    `solved`.
     """
 
     def iterate(state: tuple[Found, Array]) -> tuple[Found, Array]:

@@ -79,8 +79,8 @@ class Way(ABC):
 
 
 _CONVERGED, _SOUND, _NO_STEP = 1e-12, 1e-9, 1e-15
-"""Residual that counts as converged; the same once steps are down to rounding; and the size of such
-a step.
+"""Residual that ends the iterations; the same up to which a place counts as found, as rounding
+leaves 2e-10 on thin tips; and the size of a step that ends them too.
 """
 _ASTRAY = 1e-5
 """Longest (weighted) step taken once the conditions are met: a longer one comes from a singular

@@ -20,7 +20,7 @@ from vibrissa.forward.locate import Place
 from vibrissa.forward.march import Mode
 from vibrissa.forward.path import Stretch, chosen
 from vibrissa.forward.search import ENERGY_MARGIN, Settled, stable_equilibria
-from vibrissa.forward.ways import NO_FORCE, Branch, End, Happened, Rubbing
+from vibrissa.forward.ways import NO_FORCE, Branch, End, Happened, LostError, Rubbing
 from vibrissa.mechanics.model import Clamp
 
 _AFTER_CONTACT = (1e-3, 1e-2, 0.1, 1.0)
@@ -54,10 +54,6 @@ def follow(
     return _Follower(scene, law, stretch).follow(mode, reached)
 
 
-class _LostError(Exception):
-    """No equilibrium continues the state that was reached."""
-
-
 class _Follower:
     def __init__(self, scene: Scene, law: Law, stretch: Stretch) -> None:
         self._scene, self._law, self._stretch = scene, law, stretch
@@ -89,7 +85,7 @@ class _Follower:
                 break
             try:
                 here, fraction = self._behind(end, since)
-            except _LostError:
+            except LostError:
                 return self._anew()
         return self._anew(EventKind.STARTED_IN_CONTACT)
 
@@ -111,14 +107,14 @@ class _Follower:
                 here = self._settled(at, np.inf, [state.point])
                 if here is not None:
                     return here, at
-            raise _LostError
+            raise LostError
         self._happened.append((EventKind.SNAP, fraction, state.point))
         if self._clear(fraction):
             return None, fraction
         energy = self._way.energy(end.at) - ENERGY_MARGIN
         here = self._settled(fraction, energy, [state.point])
         if here is None and not self._clear(1.0):
-            raise _LostError
+            raise LostError
         # If there is none, whatever is left of the contact ends before the next position.
         return here, 1.0 if here is None else fraction
 

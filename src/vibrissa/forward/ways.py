@@ -35,6 +35,10 @@ NO_FORCE = 1e-7
 """Force [EI/L²] up to which a contact counts as just begun or about to end."""
 
 
+class LostError(Exception):
+    """No equilibrium continues the state that was reached."""
+
+
 @dataclass(frozen=True)
 class End:
     """Why a way ended: arrived, released, snapped, or stuck."""
@@ -249,7 +253,7 @@ class Branch(Way):
         def at(length: float) -> Place:
             place = {0.0: start, step: end}.get(length) or self._along(start, length)
             if place is None:
-                raise _LostError
+                raise LostError
             return place
 
         if figure(start) * figure(end) >= 0:
@@ -261,7 +265,7 @@ class Branch(Way):
                     lambda length: figure(at(length)), 0.0, step, xtol=self._scene.rod.last_step
                 )
             )
-        except _LostError:
+        except LostError:
             return None
 
     def track(self, start: Place, happened: list[Happened]) -> End:
@@ -353,10 +357,6 @@ class Branch(Way):
             kind = EventKind.LATERAL_INSTABILITY if lost else EventKind.LATERAL_RECOVERY
             happened.append((kind, float(y[-1]), y[:3]))
         return happened
-
-
-class _LostError(Exception):
-    """A branch is not found where it is looked for."""
 
 
 def _phase_change(following: Place) -> EventKind:

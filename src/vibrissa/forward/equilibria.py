@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from itertools import chain
+from dataclasses import dataclass
+from operator import itemgetter
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from vibrissa.brief import brief
 from vibrissa.contact import FRICTIONLESS, Scene, State, Touching, touching
 from vibrissa.contacts import ContactKind
 from vibrissa.forward.assess import DEPTH_TOLERANCE
+from vibrissa.forward.branches import FORCES, contacts_of, in_closed_form
 from vibrissa.forward.path import chosen
 from vibrissa.forward.scan import touched_surface
-from vibrissa.forward.search import eased, seeds_around, solutions
+from vibrissa.forward.search import different
 from vibrissa.forward.second_variation import NODES, Shape, least_second_variation
 from vibrissa.geometry.checks import finite_array
 from vibrissa.geometry.rotation import Orientation, unit_quaternions
@@ -33,10 +35,11 @@ from vibrissa.rod import Rod
 from vibrissa.surfaces import Offset, Surface
 from vibrissa.trail import Trail
 
-# Starting magnitudes of the force [EI/L²] for Newton's method, by number of inflections: about
-# (2K/s₁)² and more.
-_FORCES = ((0.05, 0.5, 1.5, 4.0, 8.0), (12.0, 20.0, 30.0, 45.0), (50.0, 75.0, 110.0))
 _CONVERGED = 1e-10
+_STEPS = 48
+"""Of a rod under large forces, as of two inflections close to the clamp."""
+_ASIDE = 1e-4
+"""Angle [rad] by which a solution is turned to see whether it remains one."""
 _LINE_POINTS = 401
 
 
@@ -58,7 +61,8 @@ class Equilibrium:
     energy
         Bending energy [J].
     stable
-        Whether the second variation of the energy is positive under the constraint of contact.
+        Whether the second variation of the energy is positive under the constraint of contact. An
+        equilibrium that is one of a circle is neutral along it; this is about all other changes.
     second_variation
         Its least eigenvalue per ∫ ‖δt‖² ds [N]: how far the equilibrium is from instability, or
         into it.
@@ -90,8 +94,14 @@ def equilibria(
     orientation: Orientation = (0.0, 0.0, 0.0, 1.0),
     finite_radius: bool = False,
 ) -> list[Equilibrium]:
-    """All admissible equilibria found at a clamp pose, lowest energy first: stable and unstable,
+    """All admissible equilibria found at a clamp pose, lowest potential first: stable and unstable,
     with up to two inflections of the rod.
+
+    The potential is the energy of bending, of the support and of the loads. Where it stays as it
+    is when the bent rod turns about the clamp's axis, as a straight rod's does that points at the
+    centre of a ball or straight down onto a plane, equilibria form circles. One of each circle is
+    listed: the one whose contact lies on the side of the clamp's x axis or, if only an arc of the
+    circle is possible, as on a face that has edges, some other.
 
     Parameters
     ----------
@@ -117,8 +127,10 @@ def equilibria(
     Notes
     -----
     Newton's method starts from several hundred points on the object in all directions and from
-    several magnitudes of the force, for each number of inflections. Such a search can miss an
-    equilibrium; in the paper's case it finds the known ones (mechanics.md).
+    several magnitudes of the force, for each number of inflections. Equilibria of a rod without a
+    closed form are also followed from those of a straight, uniform one while it becomes the other.
+    Such a search can miss an equilibrium; in the paper's case it finds the known ones
+    (mechanics.md).
     """
     clamp = finite_array(position, "position", last=3, ndim=1)
     turn = unit_quaternions(orientation, "orientation")
@@ -130,28 +142,26 @@ def equilibria(
             f"position = {clamp.tolist()}: the clamp is inside the object; allowed is outside"
         )
     pose, base = Trail(clamp[None], turn[None]), clamp_of(clamp / rod.length, turn)
-    found: list[Equilibrium] = []
-    for model, forces in _models(rod):
-        scene = Scene(touched, rod.length, rod=model)
-        seeds = eased(scene, base, seeds_around(scene, base, [], forces))
-        state = solutions(scene, base, FRICTIONLESS, seeds).state
-        count = len(state.force)
-        seen = _seen(scene, state, Clamp(*(np.tile(part, (count, 1)) for part in base)))
-        for row in range(count):
-            equilibrium = _described(rod, scene, pose, base, *chosen((state, seen), row))
-            if equilibrium is not None:
-                found.append(equilibrium)
-    return sorted(found, key=lambda equilibrium: equilibrium.energy)
+    found: list[tuple[float, Equilibrium]] = []
+    for scene, state in _solved(rod, touched, base):
+        single, seen = _one_of_each_circle(scene, state, base)
+        for row in range(len(single.force)):
+            one = _described(rod, scene, pose, base, *chosen((single, seen), row))
+            if one is not None:
+                found.append((float(seen.potential[row]), one))
+    return [one for _, one in sorted(found, key=itemgetter(0))]
 
 
-def _models(rod: Rod) -> list[tuple[RodModel, tuple[float, ...]]]:
-    """Models of the rod, and the forces with which to search for equilibria: in closed form each
-    number of inflections is one of its own.
-    """
-    if not rod.plain:
-        # Far from the start, derivatives of the rod itself lead to more of them.
-        return [(replace(spatial(rod), roughly=None), tuple(chain(*_FORCES)))]
-    return [(Elastica(count), forces) for count, forces in enumerate(_FORCES)]
+def _solved(rod: Rod, touched: Surface, clamp: Clamp) -> list[tuple[Scene, State]]:
+    """Contacts (k, …) of a rod: in closed form each number of inflections is a model of its own."""
+    scene = Scene(touched, rod.length)
+    plain = [in_closed_form(scene, clamp, count) for count in range(len(FORCES))]
+    if rod.plain:
+        return plain
+    # One of each circle leads to one of each.
+    starts = [_one_of_each_circle(*each, clamp)[0] for each in plain]
+    together = jax.tree.map(lambda *parts: np.concatenate(parts), *starts)
+    return [contacts_of(spatial(rod, _STEPS), scene, clamp, together)]
 
 
 class _Seen(NamedTuple):
@@ -159,6 +169,9 @@ class _Seen(NamedTuple):
 
     found: Touching
     energy: Float[Any, ""]
+    potential: Float[Any, ""]
+    turns: Any = None
+    """Whether it remains one when it turns about the clamp's axis."""
     along: Any = None
     """As `Kirchhoff.along` returns it."""
     line: Float[Any, "401 3"] | None = None
@@ -167,7 +180,7 @@ class _Seen(NamedTuple):
 @lanes(width=1, blocks=64)
 def _seen(scene: Scene, state: State, clamp: Clamp) -> _Seen:
     rod, found = scene.rod, touching(scene, FRICTIONLESS, state, clamp)
-    seen = _Seen(found, rod.energy(found.bent))
+    seen = _Seen(found, rod.energy(found.bent), rod.potential(found.bent))
     if not isinstance(rod, Kirchhoff):
         return seen
     nodes = np.linspace(0, 1, NODES) * jnp.minimum(found.bent.arc_length, 1.0)
@@ -175,6 +188,42 @@ def _seen(scene: Scene, state: State, clamp: Clamp) -> _Seen:
         along=rod.along(found.bent, nodes),
         line=rod.drawn(found.bent, np.linspace(0, 1, _LINE_POINTS)),
     )
+
+
+def _one_of_each_circle(scene: Scene, state: State, clamp: Clamp) -> tuple[State, _Seen]:
+    """Of solutions that remain some as they turn about the clamp's axis, one for each circle: with
+    its contact on the side of the clamp's x axis, if that is one too; and all others.
+    """
+    count, side = len(state.force), np.cross(clamp.tangent, clamp.across)
+    clamps = Clamp(*(np.tile(part, (count, 1)) for part in clamp))
+    reach = state.point - clamp.point
+    home = _turned(state, clamp, -np.arctan2(reach @ side, reach @ clamp.across))
+    aside = _turned(state, clamp, np.full(count, _ASIDE))
+    own, there, beside = (_seen(scene, each, clamps) for each in (state, home, aside))
+    residuals = (np.abs(each.found.residual).max(axis=1, initial=0.0) for each in (beside, there))
+    turns, solved = (residual < _CONVERGED for residual in residuals)
+
+    def either(which: Bool[np.ndarray, "k"], turned: Any, found: Any) -> Any:
+        return jax.tree.map(
+            lambda one, other: np.where(which.reshape(-1, *(1,) * (one.ndim - 1)), one, other),
+            turned,
+            found,
+        )
+
+    kept = different(either(turns, home, state))
+    states, seen = either(turns & solved, (home, there), (state, own))
+    single: tuple[State, _Seen] = chosen((states, seen._replace(turns=turns)), kept)
+    return single
+
+
+def _turned(state: State, clamp: Clamp, angle: Float[np.ndarray, "k"]) -> State:
+    """States (k, …) turned about the clamp's axis."""
+    turn = Rotation.from_rotvec(angle[:, None] * clamp.tangent).as_matrix()
+    point = clamp.point + np.einsum("kij,kj->ki", turn, state.point - clamp.point)
+    # A force and a moment, where there are loads.
+    vectors = state.own.reshape(len(angle), state.own.shape[1] // 3, 3)
+    own = np.einsum("kij,knj->kni", turn, vectors).reshape(state.own.shape)
+    return state._replace(point=point, own=own)
 
 
 def _shape(model: RodModel, clamp: Clamp, seen: _Seen) -> tuple[Shape, int, np.ndarray]:
@@ -197,7 +246,7 @@ def _shape(model: RodModel, clamp: Clamp, seen: _Seen) -> tuple[Shape, int, np.n
     tangent, moment, force, bending, torsion = seen.along
     shape = Shape(tangent, moment, force, bending, torsion, support)
     inner = shape.moment[:-1]
-    inflections = int(np.sum(np.sum(inner[1:] * inner[:-1], axis=1) < 0))
+    inflections = int(np.sum(np.sum(inner[1:] * inner[:-1], axis=1) < -(_CONVERGED**2)))
     return shape, inflections, seen.line
 
 
@@ -211,7 +260,7 @@ def _described(
     if not (met and s1 <= 1 + _CONVERGED and away >= -_CONVERGED):
         return None
     shape, inflections, line = _shape(scene.rod, clamp, seen)
-    if inflections >= len(_FORCES):
+    if inflections >= len(FORCES):
         return None
     levels = scene.surface.levels(line * rod.length) / rod.length
     if scene.slims:
@@ -221,7 +270,13 @@ def _described(
     tangential = (1 - s1) > away
     point = np.asarray(state.point)
     variation = least_second_variation(
-        scene, point, float(state.force), shape, s1, tangential=tangential
+        scene,
+        point,
+        float(state.force),
+        shape,
+        s1,
+        tangential=tangential,
+        turns_about=clamp.tangent if seen.turns else None,
     )
     contact = point * rod.length
     force, moment = np.asarray(bent.support_force), np.asarray(bent.base_moment)

@@ -209,19 +209,10 @@ def seeds_around(
     around expected places, with several magnitudes of the force.
     """
     point, tangent, _ = clamp
-    first = np.cross(tangent, np.eye(3)[np.argmin(np.abs(tangent))])
-    first /= np.linalg.norm(first)
-    second = np.cross(tangent, first)
+    first, second = _sideways(tangent)
     line, own_unknowns = chosen(free_rods(scene, Clamp(*(part[None] for part in clamp))), 0)
-    # A Fibonacci spiral over the directions within 105° of the tangent.
-    order = np.arange(_DIRECTIONS) + 0.5
-    azimuth, cosine = np.pi * (1 + np.sqrt(5)) * order, 1 - _CONE * order / _DIRECTIONS
-    round_it = np.cos(azimuth)[:, None] * first + np.sin(azimuth)[:, None] * second
-    rays = cosine[:, None] * tangent + np.sqrt(1 - cosine**2)[:, None] * round_it
+    meets, _ = rays_meet(scene, clamp)
     distance = np.arange(1, _RAY_SAMPLES + 1) / _RAY_SAMPLES
-    values = levels(scene, point + distance[None, :, None] * rays[:, None, :])
-    ray, sample = np.nonzero((values[:, 1:] < 0) & (values[:, :-1] >= 0))
-    meets = point + _crossing(values, ray, sample, distance)[:, None] * rays[ray]
     along = _along(line, distance)
     own = levels(scene, along[None])[0]
     inside = along[own < 0]
@@ -250,6 +241,39 @@ def seeds_around(
     count = len(places)
     owned = np.broadcast_to(own_unknowns, (count, len(own_unknowns)))
     return State(places, pushes, np.zeros((count, 0)), owned)
+
+
+def _sideways(
+    tangent: Float[np.ndarray, "3"],
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Two unit vectors across a tangent."""
+    first = np.cross(tangent, np.eye(3)[np.argmin(np.abs(tangent))])
+    first /= np.linalg.norm(first)
+    return first, np.cross(tangent, first)
+
+
+def rays_meet(
+    scene: Scene, clamp: Clamp
+) -> tuple[Float[np.ndarray, "enters 3"], Float[np.ndarray, "leaves 3"]]:
+    """Where rays from the clamp enter the object, and where they leave it, within the rod's
+    length.
+    """
+    point, tangent, _ = clamp
+    first, second = _sideways(tangent)
+    # A Fibonacci spiral over the directions within 105° of the tangent.
+    order = np.arange(_DIRECTIONS) + 0.5
+    azimuth, cosine = np.pi * (1 + np.sqrt(5)) * order, 1 - _CONE * order / _DIRECTIONS
+    round_it = np.cos(azimuth)[:, None] * first + np.sin(azimuth)[:, None] * second
+    rays = cosine[:, None] * tangent + np.sqrt(1 - cosine**2)[:, None] * round_it
+    distance = np.arange(1, _RAY_SAMPLES + 1) / _RAY_SAMPLES
+    values = levels(scene, point + distance[None, :, None] * rays[:, None, :])
+
+    def crossed(values: Float[np.ndarray, "rays samples"]) -> Float[np.ndarray, "k 3"]:
+        ray, sample = np.nonzero((values[:, 1:] < 0) & (values[:, :-1] >= 0))
+        away = _crossing(values, ray, sample, distance)[:, None]
+        return np.asarray(point + away * rays[ray])
+
+    return crossed(values), crossed(-values)
 
 
 def _along(line: Float[np.ndarray, "n 3"], s: Float[np.ndarray, "*k"]) -> Float[np.ndarray, "*k 3"]:
@@ -370,11 +394,22 @@ def _settled(newton: Callable[[State], tuple[Solutions, Any]], seeds: State) -> 
     return found
 
 
+def different(states: State) -> Int[np.ndarray, "j"]:
+    """Rows of states of which no two are the same."""
+    rows, _ = _apart(states.flat_rows, np.arange(len(states.force)))
+    return np.array(rows, dtype=int)
+
+
 def _different(found: Solutions, clamp: Clamp) -> tuple[list[int], list[int]]:
     """Rows of solutions of which no two are the same, and how often each was found."""
     near = np.abs(found.state.point - clamp.point).max(axis=1, initial=0.0) < _REACH
     sound = (found.residual < _SETTLED) & (found.state.force > 0) & near
-    unknowns, rows = found.state.flat_rows, np.flatnonzero(sound)
+    return _apart(found.state.flat_rows, np.flatnonzero(sound))
+
+
+def _apart(
+    unknowns: Float[np.ndarray, "n unknowns"], rows: Int[np.ndarray, "j"]
+) -> tuple[list[int], list[int]]:
     kept, times = list[int](), list[int]()
     while rows.size:
         other = np.abs(unknowns[rows] - unknowns[rows[0]]).max(axis=1) > _SAME
@@ -395,9 +430,10 @@ def _put(where: Int[np.ndarray, "j"], whole: np.ndarray, part: np.ndarray) -> np
     return replaced
 
 
-def eased(scene: Scene, clamp: Clamp, seeds: State) -> State:
+def eased(scene: Scene, clamp: Clamp, seeds: State, *, afresh: bool = False) -> State:
     """More starting points: the seeds and, for a rod of finite radius, where they lead via thicker
-    rods, which find their way round a sharp edge more easily.
+    rods, which find their way round a sharp edge more easily; afresh, from the seeds to each of
+    them too.
     """
     if not isinstance(scene.surface, Offset):
         return seeds
@@ -409,5 +445,11 @@ def eased(scene: Scene, clamp: Clamp, seeds: State) -> State:
         )
         # From all seeds at the thickest, then on from what they found.
         starts = solutions(thicker, clamp, FRICTIONLESS, starts).state
-    both: State = jax.tree.map(lambda *parts: np.concatenate(parts), starts, seeds)
-    return both if doublings else seeds
+        starts = joined(starts, seeds) if afresh else starts
+    return joined(starts, seeds) if doublings and not afresh else starts
+
+
+def joined(first: State, second: State) -> State:
+    """States (j, …) and others (k, …) in one."""
+    both: State = jax.tree.map(_joined, first, second)
+    return both

@@ -71,6 +71,7 @@ def least_second_variation(
     arc_length: float,
     *,
     tangential: bool,
+    turns_about: Float[np.ndarray, "3"] | None = None,
 ) -> float:
     """Least eigenvalue of the second variation per ∫ |δt|² ds [EI/L²]; negative where the
     equilibrium is unstable.
@@ -83,6 +84,9 @@ def least_second_variation(
         The rod up to the contact, and s₁ [L].
     tangential
         Whether the contact may move along the rod.
+    turns_about
+        Axis (3,) about which the rod may turn as one, if there is one: the eigenvalue is that of
+        the changes square to that, which has none.
     """
     n, hessian = distance_hessian(scene, point)
     t, count = shape.tangent, len(shape.tangent)
@@ -135,16 +139,14 @@ def least_second_variation(
             shift = t[-1] @ hessian @ moves
             shift[-2:] += tilts[-1] @ n
             energy = energy + force * np.outer(shift, shift) / bend
-    # An orthonormal basis of the variations that keep contact, by a Householder reflection.
-    reflection = n @ moves
-    reflection[0] += np.copysign(np.linalg.norm(reflection), reflection[0])
-    basis = (
-        np.eye(len(reflection)) - 2 * np.outer(reflection, reflection) / (reflection @ reflection)
-    )[:, 1:]
+    inertia, kept = mass[np.ix_(bends, bends)], [n @ moves]
+    if turns_about is not None:
+        kept.append(inertia @ (np.stack(axes, axis=1) @ turns_about)[free[:, :2]])
+    basis = scipy.linalg.null_space(np.stack(kept))
     return float(
         scipy.linalg.eigh(
             basis.T @ energy @ basis,
-            basis.T @ mass[np.ix_(bends, bends)] @ basis,
+            basis.T @ inertia @ basis,
             eigvals_only=True,
             subset_by_index=[0, 0],
         )[0]

@@ -53,6 +53,7 @@ from vibrissa.mechanics.section import (
     fitted,
     graded,
     padded,
+    powered,
     stage_of,
 )
 from vibrissa.numerics.derivatives import by_differences
@@ -306,6 +307,22 @@ class Kirchhoff(RodModel):
     def finer(self) -> "Kirchhoff":
         """As in `RodModel`."""
         return Kirchhoff(self.steps.halved, self.load, self.compliance, divided=self)
+
+    def partly(self, share: Scalar) -> "Kirchhoff":
+        """A rod on the way from a straight, uniform one that is rigidly held and without loads to
+        this one: its stiffness and radius to a power, all else by a share. It has no rougher one.
+        """
+        nodes, local, scheme, _ = self.steps
+        bending, torsion, girth = (
+            None if part is None else powered(part, share)
+            for part in (local.bending, local.torsion, local.girth)
+        )
+        rest = None if local.rest is None else share * local.rest
+        steps = Steps.of(nodes, Local(bending, torsion, rest, girth, local.loaded), scheme)
+        load = None if self.load is None else Share(self.load, share)
+        compliance = None if self.compliance is None else share * self.compliance
+        rod = Kirchhoff(steps, load, compliance)
+        return rod if load is not None else replace(rod, unloaded=rod.own_shape)
 
     def base(self, clamp: Clamp, wrench: Wrench) -> State:
         """The rod where its support has yielded to force and moment about the clamp point, without

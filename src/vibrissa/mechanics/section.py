@@ -63,6 +63,12 @@ def halved(polynomials: Any) -> Any:
     return jax.tree.map(half, polynomials)
 
 
+def powered(polynomials: Any, power: Scalar) -> Any:
+    """Polynomials (steps, 5) of a power of the functions that others stand for."""
+    values = polynomials @ np.vander(POINTS, increasing=True).T
+    return values**power @ _FIT.T
+
+
 def padded(nodes: Float[Any, "nodes"], polynomials: Any, steps: int) -> tuple[Array, Any]:
     """Nodes and polynomials with further steps at the tip that have no length."""
     more = steps + 1 - len(nodes)

@@ -321,6 +321,18 @@ def test_a_short_snap_is_seen_with_any_steps() -> None:
     np.testing.assert_allclose(places, places[[-1] * 4], rtol=0, atol=5e-4)
 
 
+def test_a_snap_under_friction_is_in_one_place_with_any_steps() -> None:
+    """Where the contact jumps by less than the clamp moves in a few coarse steps."""
+    egg = vb.surfaces.Ellipsoid(center=(0.04, 0.052, 0.818), semi_axes=(0.12, 0.159, 0.326))
+    for count in (21, 31, 41, 61, 241, 961):
+        trail = vb.Trail.line(start=(1, 0.1, 0), stop=(-1, 0.1, 0), count=count)
+        events = vb.scan(UNIT, egg, trail, friction=0.193).events
+        kinds = ["FIRST_CONTACT", "SNAP", "STICK_TO_SLIP", "DETACH"]
+        assert [event.kind.name for event in events] == kinds
+        places = [event.parameter for event in events]
+        np.testing.assert_allclose(places, [0.4228, 0.495, 0.495, 0.5372], rtol=0, atol=5e-5)
+
+
 @pytest.mark.parametrize("thing", ["torus", "ball"])
 def test_a_heavy_rod_s_contact_begins_once_with_any_steps(thing: str) -> None:
     """Held by friction across its axis, it slides along that from the first: neither a snap nor a

@@ -2,6 +2,8 @@
 tip to the clamp.
 """
 
+from pathlib import Path
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 import vibrissa as vb
+from vibrissa.io.sweeps import read_sweep
 
 LENGTH, RADIUS, DENSITY, STEEL = 0.08, 1e-4, 8000.0, 2e11
 WIRE = vb.Rod.cylinder(length=LENGTH, radius=RADIUS, youngs_modulus=STEEL, density=DENSITY)
@@ -110,7 +113,7 @@ def test_a_wire_as_soft_as_a_rope_hangs(ratio: float, angle: float) -> None:
     assert moment == pytest.approx(bent(tip)[1] * stiffness / LENGTH, rel=1e-6)
 
 
-def test_an_offset_of_the_object_is_the_same_for_every_rod() -> None:
+def test_an_offset_of_the_object_is_the_same_for_every_rod(tmp_path: Path) -> None:
     """A ball of 28 mm grown by 2 mm is one of 30 mm, also for a rod that tapers."""
     rod = vb.Rod.tapered(
         length=LENGTH, base_radius=0.15e-3, tip_radius=0.05e-3, youngs_modulus=STEEL
@@ -124,6 +127,14 @@ def test_an_offset_of_the_object_is_the_same_for_every_rod() -> None:
     for name in ("force", "moment"):
         found, expected = (getattr(one.reactions, name) for one in (grown, whole))
         np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
+    # Its point is on the ball of 28 mm, and its centre line passes that of 30 mm.
+    np.testing.assert_allclose(grown.centre, whole.point, atol=1e-9 * LENGTH)
+    assert np.abs(small.distances(grown.point[grown.in_contact])).max() < 1e-9 * LENGTH
+    lines = [one.elastic_lines(one.in_contact) for one in (grown, whole)]
+    np.testing.assert_allclose(*lines, atol=1e-7 * LENGTH)
+    vb.io.write_dataset(tmp_path / "grown.nc", grown.to_dataset())
+    stored = read_sweep(tmp_path / "grown.nc").elastic_lines(grown.in_contact)
+    np.testing.assert_allclose(stored, lines[0], atol=1e-7 * LENGTH)
 
 
 @pytest.mark.parametrize(

@@ -69,6 +69,7 @@ def scan_dataset(scan: "Scan") -> "xarray.Dataset":
     title = "Quasi-static scan of an object with an elastic rod"
     result = dataset_of(title, scan, _VARIABLES)
     result["motion"] = (result["kind"].dims, scan.motion, flags(Motion, "how the contact moves"))
+    result.attrs["finite_radius"] = int(scan.finite_radius)
     result.attrs["contact_offset"] = scan.offset
     events = scan.events
     result["event_kind"] = (

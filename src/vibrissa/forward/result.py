@@ -69,9 +69,12 @@ class Scan:
         By trail, in order along each.
     friction
         Coefficient of friction, as given.
+    finite_radius
+        As given.
     offset
-        The rod's radius at the clamp if its skin touches, or 0 if its centre line does; `point` is
-        on the object either way, and `centre` on the centre line.
+        By how much [m] the object was grown for the rod's centre line: the rod's radius at the
+        clamp with `finite_radius`, else that of an `Offset`, else 0. `point` is on the object
+        itself, and `centre` on the centre line.
     second_contact
         (…, 3) where the rod also touches the object or passes through it, on rows whose status says
         so; NaN on the others.
@@ -98,6 +101,7 @@ class Scan:
     status: Int[np.ndarray, "*trail n"]
     events: list[Event]
     friction: float
+    finite_radius: bool
     offset: float
     second_contact: Float[np.ndarray, "*trail n 3"]
 
@@ -149,9 +153,14 @@ class Scan:
     @property
     def centre(self) -> Float[np.ndarray, "*trail n 3"]:
         """Points (…, 3) of the rod's centre line at the contact."""
-        if self.offset == 0:
-            return self.point
-        return centre_of(self.rod, self.point, self.normal, self.arc_length)
+        return centre_of(
+            self.rod,
+            self.point,
+            self.normal,
+            self.arc_length,
+            offset=self.offset,
+            finite_radius=self.finite_radius,
+        )
 
     @cached_property
     def slip(self) -> Slip:

@@ -141,6 +141,7 @@ def scan(
         reactions=Reactions(trail, fields.pop("force"), fields.pop("moment")),
         events=_events(happenings, rod, trail, path.stride, touched),
         friction=friction,
+        finite_radius=finite_radius,
         offset=touched.radius if isinstance(touched, Offset) else 0.0,
         **fields,
     )

@@ -30,8 +30,8 @@ class StoredSweep:
         (…, 3, 3) of the points, or None.
     incidence
         (…) as `vibrissa.Reconstruction.modulus`; None for a scan, whose force is exact.
-    offset
-        As of a scan; 0 for a reconstruction.
+    offset, finite_radius
+        As of a scan; 0 and False for a reconstruction.
     """
 
     rod: Rod
@@ -46,6 +46,7 @@ class StoredSweep:
     covariance: Float[np.ndarray, "*trail n 3 3"] | None
     incidence: Float[np.ndarray, "*trail n"] | None
     offset: float
+    finite_radius: bool
 
     @property
     def in_contact(self) -> Bool[np.ndarray, "*trail n"]:
@@ -54,9 +55,14 @@ class StoredSweep:
 
     def elastic_lines(self, rows: Any, count: int = 200) -> Float[np.ndarray, "k count 3"]:
         """The rod's shapes at some rows, as `vibrissa.Scan.elastic_lines`."""
-        point = self.point
-        if self.offset != 0:
-            point = centre_of(self.rod, point, self.normal, self.arc_length)
+        point = centre_of(
+            self.rod,
+            self.point,
+            self.normal,
+            self.arc_length,
+            offset=self.offset,
+            finite_radius=self.finite_radius,
+        )
         contact = self.in_contact, point, self.force_direction, self.arc_length, self.incidence
         return elastic_lines(self.rod, Held(self.reactions, *contact), rows, count)
 
@@ -99,6 +105,7 @@ def _of(data: "xarray.Dataset") -> StoredSweep:
     trail = Trail(part("clamp_position"), part("clamp_orientation"))
     reactions = Reactions(trail, part("support_force"), part("support_moment"), part("time"))
     direction = part("force_direction")
+    offset = float(data.attrs.get("contact_offset", 0.0))
     return StoredSweep(
         rod,
         reactions,
@@ -112,7 +119,9 @@ def _of(data: "xarray.Dataset") -> StoredSweep:
         energy=part("bending_energy"),
         covariance=part("contact_point_covariance"),
         incidence=part("incidence"),
-        offset=float(data.attrs.get("contact_offset", 0.0)),
+        offset=offset,
+        # Older scans say by the offset only.
+        finite_radius=bool(data.attrs.get("finite_radius", offset > 0)),
     )
 
 

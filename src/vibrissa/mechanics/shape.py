@@ -74,12 +74,18 @@ def centre_of(
     point: Float[np.ndarray, "*n 3"],
     normal: Float[np.ndarray, "*n 3"],
     arc_length: Float[np.ndarray, "*n"],
+    *,
+    offset: float,
+    finite_radius: bool,
 ) -> Float[np.ndarray, "*n 3"]:
-    """Centre line (…, 3) [m] of rods whose skin touches an object at points [m] with outward unit
-    normals: one radius away, that at the contact's arc length [m].
+    """Centre line (…, 3) [m] of rods that touch an object at points [m] with outward unit normals:
+    away from it by the rod's radius at the contact's arc length [m] if its skin touches, else by
+    how much the object was grown.
     """
-    radius = np.asarray(rod.radius_at(arc_length / rod.length))
-    return np.asarray(point + radius[..., None] * normal)
+    if finite_radius:
+        radius = np.asarray(rod.radius_at(arc_length / rod.length))
+        return np.asarray(point + radius[..., None] * normal)
+    return point + offset * normal if offset else point
 
 
 def free_lines(

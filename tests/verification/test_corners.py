@@ -81,6 +81,27 @@ def test_what_happens_at_a_corner_does_so_at_one_place_with_any_steps(
     assert np.ptp(places) < 1e-8
 
 
+def test_what_would_change_at_a_branch_s_end_is_no_event() -> None:
+    """Contacts that run off the tip, and onto it: where rounding has the steps end, the determinant
+    or the phase may have changed.
+    """
+    torus = vb.surfaces.Torus(
+        center=(0, 0, 0.9456908),
+        axis=(-0.5368263, -0.7001215, -0.4707945),
+        major_radius=0.217617,
+        minor_radius=0.114813,
+    )
+    way = vb.Trail(
+        np.array([[-0.4650809, -0.478727, 0.026363], [0.6313599, 0.2164822, -0.2207153]]),
+        np.tile([-0.0718243, 0.0809628, 0.0252364, 0.9938055], (2, 1)),
+    )
+    for count in (61, 101, 241, 961):
+        events = vb.scan(PLAIN, torus, trail(way, count)).events
+        assert [event.kind.name for event in events] == ["FIRST_CONTACT", "SNAP", "SNAP"]
+        places = [event.parameter for event in events]
+        np.testing.assert_allclose(places, [0.342141, 0.363699, 0.656519], rtol=0, atol=1e-6)
+
+
 def test_a_branch_goes_on_past_an_edge_where_it_turns_by_more_than_a_right_angle() -> None:
     """A box's edges, rounded by the rod's radius, meet its faces where the curvature jumps."""
     box = vb.surfaces.Box(center=(0, 0, 0), half_extents=(0.37145469, 0.26465183, 0.18360264))

@@ -92,10 +92,19 @@ Jacobian.
 """
 _MOST_ITERATIONS = 12
 _FIRST_STEP, _LONGEST_STEP, _SHORTEST_STEP = 0.01, 0.03, 1e-10
-"""Steps [L] along the branch; the shortest is what rounding leaves at a fold."""
+"""Steps [L] along the branch, and with friction the longest way of a contact in one step; the
+shortest is what rounding leaves at a fold.
+"""
 _MOST_STEPS = 600
 _BIFURCATION_STEP = 2e-5
 """[L] down to which a step across a change of the determinant's sign is refined."""
+_CHANGES = (
+    EventKind.TIP_TO_TANGENTIAL,
+    EventKind.TANGENTIAL_TO_TIP,
+    EventKind.LATERAL_INSTABILITY,
+    EventKind.LATERAL_RECOVERY,
+)
+"""Of a contact that goes on."""
 _LOOKS_AHEAD, _NEAR = (1e-6, 1e-5), 1e-3
 """Fractions of the stretch past the end of a branch at which to look for an equilibrium, and how
 near [L] it must be to continue the branch.
@@ -275,14 +284,14 @@ class Branch(Way):
             if step < _SHORTEST_STEP:
                 beyond = self._beyond(here)
                 if beyond is None:
-                    return End("snapped", here)
+                    return self._snapped(here, happened)
                 happened += self._changes(here, beyond, corner=here) or []
                 here, step = beyond, _FIRST_STEP
             following = self._along(here, step)
             if following is not None and following.onward[-1] <= 0:
                 fold = self._root(here, following, lambda place: place.onward[-1])
                 if fold is not None:
-                    return End("snapped", fold)
+                    return self._snapped(fold, happened)
                 following = None
             if following is not None and following.fraction >= 1:
                 following = self._arrival(here, following)
@@ -310,6 +319,19 @@ class Branch(Way):
                 return End("arrived", here)
             step = min(1.5 * step, _LONGEST_STEP)
         return End("stuck", here)
+
+    def _snapped(self, at: Place, happened: list[Happened]) -> End:
+        """Where a branch ends its determinant, and at a corner its phase, may have changed already:
+        with nothing behind, that is no event before the end.
+        """
+        end = _of(at)
+
+        def counts(kind: EventKind, fraction: float, point: Float[np.ndarray, "3"]) -> bool:
+            off = np.abs(np.append(point, fraction) - end[[0, 1, 2, -1]]).max()
+            return kind not in _CHANGES or off > _BIFURCATION_STEP
+
+        happened[:] = [one for one in happened if counts(*one)]
+        return End("snapped", at)
 
     def _release(self, here: Place, following: Place) -> Place | None:
         """Where the force falls to zero; None if it pulls on another branch."""

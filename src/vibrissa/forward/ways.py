@@ -395,7 +395,8 @@ def _of(place: Place) -> Float[np.ndarray, "..."]:
 
 
 _SHORTEST_RUB = 2.0**-20
-"""Fraction of the stretch below which no step is tried but to its end, and half-way there."""
+"""Fraction of the stretch below which no step is tried, except the last to its end and half of it.
+"""
 _FASTEST = 20.0
 """How many times as fast as the clamp a contact may run: 9 times was seen where nothing snaps."""
 _CLEARLY_INSIDE = -1e-6

@@ -12,7 +12,7 @@ from vibrissa.contacts import ContactKind, Contacts, Status
 from vibrissa.forward.events import Event, EventKind
 from vibrissa.forward.slip import Slip, led, slip_along
 from vibrissa.forward.validity import QuasiStatic, quasi_static
-from vibrissa.mechanics.shape import Held, centre_of, elastic_lines
+from vibrissa.mechanics.shape import CentreLine, Held, elastic_lines
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.surfaces import Surface
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Scan:
+class Scan(CentreLine):
     """Equilibria of the rod along one trail (n, …) or several (m, n, …), in units of the rod, world
     axes.
 
@@ -149,18 +149,6 @@ class Scan:
         if self.rod.radius is None:
             raise ValueError("radius = None: a bending strain needs the rod's radius")
         return self.rod.radius * self.largest_bend
-
-    @property
-    def centre(self) -> Float[np.ndarray, "*trail n 3"]:
-        """Points (…, 3) of the rod's centre line at the contact."""
-        return centre_of(
-            self.rod,
-            self.point,
-            self.normal,
-            self.arc_length,
-            offset=self.offset,
-            finite_radius=self.finite_radius,
-        )
 
     @cached_property
     def slip(self) -> Slip:

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 
 from vibrissa.contacts import ContactKind
 from vibrissa.files import InputError, readable, reading
-from vibrissa.mechanics.shape import Held, centre_of, elastic_lines
+from vibrissa.mechanics.shape import CentreLine, Held, elastic_lines
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod, rod_from_json
 from vibrissa.trail import Trail
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class StoredSweep:
+class StoredSweep(CentreLine):
     """One trail (n, …) or several (m, n, …) as a file holds them, in units of the rod.
 
     Attributes
@@ -55,15 +55,13 @@ class StoredSweep:
 
     def elastic_lines(self, rows: Any, count: int = 200) -> Float[np.ndarray, "k count 3"]:
         """The rod's shapes at some rows, as `vibrissa.Scan.elastic_lines`."""
-        point = centre_of(
-            self.rod,
-            self.point,
-            self.normal,
+        contact = (
+            self.in_contact,
+            self.centre,
+            self.force_direction,
             self.arc_length,
-            offset=self.offset,
-            finite_radius=self.finite_radius,
+            self.incidence,
         )
-        contact = self.in_contact, point, self.force_direction, self.arc_length, self.incidence
         return elastic_lines(self.rod, Held(self.reactions, *contact), rows, count)
 
 

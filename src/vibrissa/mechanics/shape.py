@@ -69,23 +69,27 @@ class _Given(NamedTuple):
     arc_length: Float[Any, ""]
 
 
-def centre_of(
-    rod: Rod,
-    point: Float[np.ndarray, "*n 3"],
-    normal: Float[np.ndarray, "*n 3"],
-    arc_length: Float[np.ndarray, "*n"],
-    *,
-    offset: float,
-    finite_radius: bool,
-) -> Float[np.ndarray, "*n 3"]:
-    """Centre line (…, 3) [m] of rods that touch an object at points [m] with outward unit normals:
-    away from it by the rod's radius at the contact's arc length [m] if its skin touches, else by
-    how much the object was grown.
-    """
-    if finite_radius:
-        radius = np.asarray(rod.radius_at(arc_length / rod.length))
-        return np.asarray(point + radius[..., None] * normal)
-    return point + offset * normal if offset else point
+class CentreLine:
+    """Sweeps whose rods touch an object with their skin or with their centre line."""
+
+    rod: Rod
+    point: Float[np.ndarray, "*trail n 3"]
+    normal: Float[np.ndarray, "*trail n 3"]
+    arc_length: Float[np.ndarray, "*trail n"]
+    finite_radius: bool
+    """Whether it is the skin."""
+    offset: float
+    """By how much the object was grown for the centre line, at the clamp."""
+
+    @property
+    def centre(self) -> Float[np.ndarray, "*trail n 3"]:
+        """Points (…, 3) [m] of the rod's centre line at the contact: away from the object by the
+        rod's radius there if its skin touches, else by how much the object was grown.
+        """
+        if self.finite_radius:
+            radius = np.asarray(self.rod.radius_at(self.arc_length / self.rod.length))
+            return np.asarray(self.point + radius[..., None] * self.normal)
+        return self.point + self.offset * self.normal if self.offset else self.point
 
 
 def free_lines(

@@ -30,9 +30,25 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # not fulfil; read to the letter, (0.0, 0.0, 1.0) would be none. The shape checks look up
 # `beartype.beartype` when the package is imported.
 _SEQUENCES = {hint: tuple | hint for hint in get_args(ArrayLike) if "NestedSequence" in repr(hint)}
-beartype.beartype = beartype.beartype(
+_checking = beartype.beartype(
     conf=beartype.BeartypeConf(is_pep484_tower=True, hint_overrides=beartype.FrozenDict(_SEQUENCES))
 )
+_KNOWN: dict[object, Any] = {}
+
+
+def _checked(signature: Any) -> Any:
+    """What checks a signature, which jaxtyping gives as a function that does nothing else: made once
+    for functions within functions, which are defined anew in every call. Making it takes about 1 ms,
+    shape checks or not.
+    """
+    hints = tuple(map(repr, signature.__annotations__.items()))
+    known = signature.__module__, signature.__qualname__, signature.__code__, hints
+    if known not in _KNOWN:
+        _KNOWN[known] = _checking(signature)
+    return _KNOWN[known]
+
+
+beartype.beartype = _checked
 
 # Fresh examples in every run; one that fails is printed with what repeats it.
 settings.register_profile(

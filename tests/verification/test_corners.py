@@ -100,6 +100,29 @@ def test_what_would_change_at_a_branch_s_end_is_no_event() -> None:
         assert [event.kind.name for event in events] == ["FIRST_CONTACT", "SNAP", "SNAP"]
         places = [event.parameter for event in events]
         np.testing.assert_allclose(places, [0.342141, 0.363699, 0.656519], rtol=0, atol=1e-6)
+    # A fraction of a step, however short the steps are.
+    events = vb.scan(PLAIN, torus, trail(way, 3001)).events
+    assert [event.kind.name for event in events if event.parameter > 0.5] == ["SNAP"]
+
+
+def test_a_snap_is_not_ahead_of_its_place() -> None:
+    """Trails that end short of a fold by up to a few thousandths: nothing has snapped yet."""
+    egg = vb.surfaces.Ellipsoid(center=(0, 0, 0.939049), semi_axes=(0.042565, 0.067384, 0.397677))
+    turn = Rotation.from_rotvec([0.160254, -0.066954, -0.070145]).as_quat()
+    ends = np.array([[-0.887193, -0.127475, -0.064689], [0.856923, 0.262764, 0.249155]])
+    way = vb.Trail(ends, np.tile(turn, (2, 1)))
+    fold = next(
+        event.parameter
+        for event in vb.scan(PLAIN, egg, trail(way, 101)).events
+        if event.kind == vb.EventKind.SNAP
+    )
+    short = [trail(way, 16, last=fold - by) for by in (2e-5, 5e-5, 1e-4, 2e-4, 1e-3)]
+    scan = vb.scan(PLAIN, egg, vb.Trail.stack(short))
+    assert [event.kind.name for event in scan.events] == ["FIRST_CONTACT"] * len(short)
+    # Near a fold points move as the root of the distance from it.
+    moved = np.linalg.norm(scan.point[1:, -1] - scan.point[0, -1], axis=1)
+    assert np.all(np.diff(moved) > 0)
+    assert moved[-1] < 0.1
 
 
 def test_a_branch_goes_on_past_an_edge_where_it_turns_by_more_than_a_right_angle() -> None:

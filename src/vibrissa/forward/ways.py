@@ -255,9 +255,27 @@ class Branch(Way):
             return None
         return self._place(found, start)
 
+    def _length(self, start: Place, end: Place) -> float:
+        """Arc length between two places of the branch."""
+        return float(start.onward @ ((_of(end) - _of(start)) * self._weights))
+
+    def _ahead_of_a_fold(
+        self, here: Place, following: Place | None
+    ) -> tuple[Place | None, Place | None]:
+        """The next place, and the fold behind it if there is one: then the last whose determinant
+        tells of anything else, or the fold itself where that is past the stretch.
+        """
+        if following is None or following.onward[-1] > 0:
+            return following, None
+        fold = self._root(here, following, lambda place: place.onward[-1])
+        if fold is None or fold.fraction >= 1:
+            return fold, fold
+        length = self._length(here, fold) - _BIFURCATION_STEP
+        return (self._along(here, length) if length > 0 else here), fold
+
     def _root(self, start: Place, end: Place, figure: Callable[[Place], float]) -> Place | None:
         """Place between two where a figure is zero; None where the branch is lost on the way."""
-        step = float(start.onward @ ((_of(end) - _of(start)) * self._weights))
+        step = self._length(start, end)
 
         def at(length: float) -> Place:
             place = {0.0: start, step: end}.get(length) or self._along(start, length)
@@ -287,12 +305,7 @@ class Branch(Way):
                     return self._snapped(here, happened)
                 happened += self._changes(here, beyond, corner=here) or []
                 here, step = beyond, _FIRST_STEP
-            following = self._along(here, step)
-            if following is not None and following.onward[-1] <= 0:
-                fold = self._root(here, following, lambda place: place.onward[-1])
-                if fold is not None:
-                    return self._snapped(fold, happened)
-                following = None
+            following, fold = self._ahead_of_a_fold(here, self._along(here, step))
             if following is not None and following.fraction >= 1:
                 following = self._arrival(here, following)
             if following is not None and following.reached.state.force < 0:
@@ -317,6 +330,8 @@ class Branch(Way):
             here = following
             if here.fraction >= 1:
                 return End("arrived", here)
+            if fold is not None:
+                return self._snapped(fold, happened)
             step = min(1.5 * step, _LONGEST_STEP)
         return End("stuck", here)
 
@@ -327,7 +342,8 @@ class Branch(Way):
         end = _of(at)
 
         def counts(kind: EventKind, fraction: float, point: Float[np.ndarray, "3"]) -> bool:
-            off = np.abs(np.append(point, fraction) - end[[0, 1, 2, -1]]).max()
+            place = [0, 1, 2, -1]
+            off = np.abs((np.append(point, fraction) - end[place]) * self._weights[place]).max()
             return kind not in _CHANGES or off > _BIFURCATION_STEP
 
         happened[:] = [one for one in happened if counts(*one)]

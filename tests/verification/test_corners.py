@@ -100,13 +100,13 @@ def test_what_would_change_at_a_branch_s_end_is_no_event() -> None:
         assert [event.kind.name for event in events] == ["FIRST_CONTACT", "SNAP", "SNAP"]
         places = [event.parameter for event in events]
         np.testing.assert_allclose(places, [0.342141, 0.363699, 0.656519], rtol=0, atol=1e-6)
-    # A fraction of a step, however short the steps are.
+    # How near the end counts is a length, not a fraction of a step.
     events = vb.scan(PLAIN, torus, trail(way, 3001)).events
     assert [event.kind.name for event in events if event.parameter > 0.5] == ["SNAP"]
 
 
 def test_a_snap_is_not_ahead_of_its_place() -> None:
-    """Trails that end short of a fold by up to a few thousandths: nothing has snapped yet."""
+    """Trails that end short of a fold by up to a thousandth: nothing has snapped yet."""
     egg = vb.surfaces.Ellipsoid(center=(0, 0, 0.939049), semi_axes=(0.042565, 0.067384, 0.397677))
     turn = Rotation.from_rotvec([0.160254, -0.066954, -0.070145]).as_quat()
     ends = np.array([[-0.887193, -0.127475, -0.064689], [0.856923, 0.262764, 0.249155]])

@@ -262,8 +262,8 @@ class Branch(Way):
     def _ahead_of_a_fold(
         self, here: Place, following: Place | None
     ) -> tuple[Place | None, Place | None]:
-        """The next place, and the fold behind it if there is one: then the last whose determinant
-        tells of anything else, or the fold itself where that is past the stretch.
+        """The next place, and the fold behind it if there is one: then it is the last place whose
+        determinant tells of anything else, or the fold itself if that is past the stretch.
         """
         if following is None or following.onward[-1] > 0:
             return following, None

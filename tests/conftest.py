@@ -33,22 +33,22 @@ _SEQUENCES = {hint: tuple | hint for hint in get_args(ArrayLike) if "NestedSeque
 _checking = beartype.beartype(
     conf=beartype.BeartypeConf(is_pep484_tower=True, hint_overrides=beartype.FrozenDict(_SEQUENCES))
 )
-_KNOWN: dict[object, Any] = {}
+_MADE: dict[object, Any] = {}
 
 
-def _checked(signature: Any) -> Any:
-    """What checks a signature, which jaxtyping gives as a function that does nothing else: made once
-    for functions within functions, which are defined anew in every call. Making it takes about 1 ms,
-    shape checks or not.
+def _made_once(signature: Any) -> Any:
+    """The check of a signature, which jaxtyping gives as a function that does nothing else. It is
+    made once also for a function within a function, which every call defines anew: making it takes
+    about 1 ms, whether checks are on or off.
     """
     hints = tuple(map(repr, signature.__annotations__.items()))
     known = signature.__module__, signature.__qualname__, signature.__code__, hints
-    if known not in _KNOWN:
-        _KNOWN[known] = _checking(signature)
-    return _KNOWN[known]
+    if known not in _MADE:
+        _MADE[known] = _checking(signature)
+    return _MADE[known]
 
 
-beartype.beartype = _checked
+beartype.beartype = _made_once
 
 # Fresh examples in every run; one that fails is printed with what repeats it.
 settings.register_profile(

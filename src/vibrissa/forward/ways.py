@@ -256,7 +256,7 @@ class Branch(Way):
         return self._place(found, start)
 
     def _length(self, start: Place, end: Place) -> float:
-        """Arc length between two places of the branch."""
+        """The step of `_along` that leads from one place of the branch to another."""
         return float(start.onward @ ((_of(end) - _of(start)) * self._weights))
 
     def _ahead_of_a_fold(

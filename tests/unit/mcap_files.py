@@ -85,9 +85,9 @@ def packed(
     if packing == "none":
         return records
     if packing == "zstd":
-        from backports import zstd
+        import zstandard
 
-        content, name = zstd.compress(records), "zstd"
+        content, name = zstandard.compress(records), "zstd"
     elif packing == "lz4":
         import lz4.frame
 

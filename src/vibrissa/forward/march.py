@@ -94,7 +94,7 @@ JUMP, JUMP_FLOOR = 8.0, 0.02
 """A contact that moves farther [L] than this many times the clamp's motion, plus a floor, has
 jumped: before a smooth change of phase it may move several times as fast as the clamp.
 """
-_MISS, _MISS_FLOOR = 0.7, 0.005
+_MISS, _MISS_FLOOR = 0.4, 0.005
 """The same for how far it is from where it was expected, as a fraction of its own motion."""
 _REVERSED = 0.05
 """And for the force, besides that fraction of its change, as a fraction of itself: past a fold it

@@ -183,9 +183,11 @@ class _Walk:
             own = whole[lanes]
             np.copyto(own, part, where=kept.reshape(*kept.shape, *(1,) * (part.ndim - 2)))
             whole[lanes] = own
+        ends = np.minimum(ends, self._past_a_fold(lanes, first, ends))
         self._go_on(lanes, n - ends)
         failed = np.flatnonzero(ends < n)
-        self.found.steps.mode[lanes[failed], ends[failed]] = int(Mode.LOST)
+        for lane, end in zip(lanes[failed], ends[failed], strict=True):
+            self.found.steps.mode[lane, end:] = int(Mode.LOST)
         if not resolve:
             return
         smooth = self._divided(lanes[failed], ends[failed])
@@ -196,6 +198,24 @@ class _Walk:
             else:
                 before = Mode(int(self.found.steps.mode[lane, at - 1])) if at else Mode.LOST
                 self._resolve(lane, at, before, patience)
+
+    def _past_a_fold(
+        self, lanes: Int[np.ndarray, "k"], first: Int[np.ndarray, "k"], ends: Int[np.ndarray, "k"]
+    ) -> Int[np.ndarray, "k"]:
+        """The position at which each lane, marched between two, may have stepped over a fold; n if
+        none has.
+        """
+        n = self._clear.shape[1]
+        if not self._law.branch or n == 1:
+            return np.full(len(lanes), n)
+        steps, at = chosen(self.found.steps, lanes), np.arange(n)
+        known = (steps.mode == Mode.CONTACT) & (at < ends[:, None])
+        points = np.where(known[..., None], steps.reached.state.point, np.nan)
+        folds, changed = _folds(np.where(known, steps.figure, np.nan), steps.phase)
+        past = np.zeros(known.shape, dtype=bool)
+        past[:, 1:] = folds & ~(changed & _steady(points))
+        past &= at > first[:, None]
+        return np.where(past.any(axis=1), past.argmax(axis=1), n)
 
     def _go_on(self, lanes: Any, left: Any) -> None:
         """Tally what lanes have passed, given the positions they have left."""
@@ -243,7 +263,9 @@ class _Walk:
         walk.resume(before)
         walk.march(resolve=False)
         found = walk.found.steps
-        lost = (found.mode == Mode.LOST).any(axis=1) | ~_steady(found.reached.state.point)
+        lost = (found.mode == Mode.LOST).any(axis=1)
+        folds, changed = _folds(found.figure, found.phase)
+        lost |= (~_steady(found.reached.state.point) | (folds & ~changed)).any(axis=1)
         found.mode[lost] = int(Mode.LOST)
         found.mode[:, _PARTS + 1 :] = int(Mode.WAITING)
         happened: list[list[Happened]] = [[] for _ in lanes]
@@ -359,11 +381,23 @@ def _entered(scene: Scene, path: Path, law: Law, lanes: Int[np.ndarray, "k"]) ->
     return entered
 
 
-def _steady(points: Float[np.ndarray, "k n 3"]) -> Bool[np.ndarray, "k"]:
-    """Whether contacts move on steadily, wherever there are any."""
+def _steady(points: Float[np.ndarray, "k n 3"]) -> Bool[np.ndarray, "k n-1"]:
+    """Whether contacts move on steadily on each step, wherever there are any."""
     moved = np.pad(lengths(np.diff(points, axis=1)), ((0, 0), (1, 1)), constant_values=np.nan)
     beside = np.fmin(moved[:, :-2], moved[:, 2:])
-    return ~(moved[:, 1:-1] > _STEADY * np.fmax(beside, _STEADY_FLOOR)).any(axis=1)
+    return ~(moved[:, 1:-1] > _STEADY * np.fmax(beside, _STEADY_FLOOR))
+
+
+def _folds(
+    figure: Float[np.ndarray, "k n"], phase: Float[np.ndarray, "k n"]
+) -> tuple[Bool[np.ndarray, "k n-1"], Bool[np.ndarray, "k n-1"]]:
+    """Steps on which a determinant would fall to zero, its square being linear near a fold; and
+    whether the phase, on which it depends too, changed on the step before.
+    """
+    square, tangential = figure**2, phase > 0
+    ahead = ((0, 0), (1, 0))
+    folds = np.pad(2 * square[:, 1:-1] < square[:, :-2], ahead)
+    return folds, np.pad(tangential[:, 1:-1] != tangential[:, :-2], ahead)
 
 
 class _Brackets(NamedTuple):

@@ -94,8 +94,10 @@ JUMP, JUMP_FLOOR = 8.0, 0.02
 """A contact that moves farther [L] than this many times the clamp's motion, plus a floor, has
 jumped: before a smooth change of phase it may move several times as fast as the clamp.
 """
-_MISS, _MISS_FLOOR = 0.4, 0.005
-"""The same for how far it is from where it was expected, as a fraction of its own motion."""
+_MISS, _MISS_FLOOR = {True: 0.4, False: 0.7}, 0.005
+"""The same for how far it is from where it was expected, as a fraction of its own motion: on a
+branch, where it costs little to take a closer look, and with friction.
+"""
 _REVERSED = 0.05
 """And for the force, besides that fraction of its change, as a fraction of itself: past a fold it
 is another one, even where the contact is nearly in its place.
@@ -251,13 +253,14 @@ def _advance(
     state = found.reached.state
     moved = _length(state.point - last.state.point)
     missed = jnp.min(joined(*(_length(state.point - order[:3]) for order in foretold[:-1])))
-    tolerated = _MISS_FLOOR + _MISS * moved
+    miss = _MISS[law.branch]
+    tolerated = _MISS_FLOOR + miss * moved
     if not law.branch:
         # With friction the contact changes direction at a corner of the trail, without a jump.
         tolerated += JUMP * _clamp_miss(clamp, come_from, carry.age)
     now, then = state.force, last.state.force
     unlike = jnp.min(joined(*(jnp.abs(now - order[3]) for order in foretold[:-1])))
-    other = unlike > _MISS * jnp.abs(now - then) + _REVERSED * jnp.maximum(now, then)
+    other = unlike > miss * jnp.abs(now - then) + _REVERSED * jnp.maximum(now, then)
     reverses = jnp.asarray(law.branch) & other
     misses = (carry.age >= 1) & ((missed > tolerated) | reverses)
     motion = _length(joined(*(b - a for a, b in zip(come_from[0], clamp, strict=True))))

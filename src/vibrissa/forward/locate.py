@@ -30,6 +30,11 @@ _SOUND = 1e-9
 2e-10, which is 1e-8 of a step.
 """
 
+_NEARLY = 1e-6
+"""The same where nothing better is found: where the slopes of the two phases are a thousandfold
+apart, Newton's method may go to and fro across their kink, a few 1e-8 from it.
+"""
+
 
 class Indicator(IntEnum):
     """Which quantity changes sign."""
@@ -82,10 +87,12 @@ def located(
     before, after = (_indicated(end, indicator) for end in (low, high))
     found = _between(low, high, before / np.where(before == after, 1.0, before - after))
     sought = _Sought(stretches, low, high, found, indicator)
-    methods = [_crossed, _bracketed] if law.branch else [_bracketed]
-    if len(indicator) <= WIDTH:
+    methods = [_bracketed]
+    if law.branch:
         # Few are quicker found by code that is compiled already.
-        methods.reverse()
+        at = 1 if len(indicator) <= WIDTH else 0
+        methods.insert(at, _crossed)
+        methods.append(_from_the_other_side)
     left = np.arange(len(indicator))
     for method in methods:
         if left.size:
@@ -153,15 +160,22 @@ def _crossing(
     return _Crossing(found.x[-1], Reached(state, found.arc_length, found.tangent), found.residual)
 
 
-def _bracketed(scene: Scene, law: Law, sought: _Sought) -> tuple[Place, Bool[np.ndarray, "k"]]:
+def _bracketed(
+    scene: Scene,
+    law: Law,
+    sought: _Sought,
+    *,
+    farther: bool = False,
+    within: float = _SOUND,
+) -> tuple[Place, Bool[np.ndarray, "k"]]:
     """The same by bracketing: each equilibrium in between is one step from the first place or,
-    without friction, from the one nearer to zero.
+    without friction, from the one nearer to zero, or the one farther from it.
     """
     stretches, low, high, _, indicator = sought
     which = indicator[:, None, None]
     before, after = (_indicated(end, indicator) for end in (low, high))
     # With friction a state depends on its history; a branch has no memory.
-    start = either(law.branch & (np.abs(after) < np.abs(before)), high, low)
+    start = either(law.branch & ((np.abs(after) < np.abs(before)) != farther), high, low)
 
     def value(
         fraction: Float[np.ndarray, "j n"], row: Int[np.ndarray, "j"]
@@ -177,7 +191,10 @@ def _bracketed(scene: Scene, law: Law, sought: _Sought) -> tuple[Place, Bool[np.
         # With friction an indicator may jump across zero.
         return found, np.isfinite(found.reached.state.flat_rows).all(axis=1)
     left = np.maximum(residual[:, 0], np.abs(_indicated(found, indicator)))
-    return found, left <= _SOUND
+    return found, left <= within
+
+
+_from_the_other_side = partial(_bracketed, farther=True, within=_NEARLY)
 
 
 def _between(low: Place, high: Place, share: Float[np.ndarray, "k"]) -> Place:

@@ -95,8 +95,8 @@ JUMP, JUMP_FLOOR = 8.0, 0.02
 jumped: before a smooth change of phase it may move several times as fast as the clamp.
 """
 _MISS, _MISS_FLOOR = {True: 0.4, False: 0.7}, 0.005
-"""The same for how far it is from where it was expected, as a fraction of its own motion: on a
-branch, where it costs little to take a closer look, and with friction.
+"""The same for how far it is from where it was expected, as a fraction of its own motion: less on
+a branch, where a closer look costs little, than with friction.
 """
 _REVERSED = 0.05
 """And for the force, besides that fraction of its change, as a fraction of itself: past a fold it

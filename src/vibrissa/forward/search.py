@@ -30,8 +30,10 @@ from vibrissa.mechanics.model import Clamp
 from vibrissa.numerics.lanes import AnyArray, lanes
 from vibrissa.surfaces import Offset
 
-_DIRECTIONS, _RAY_SAMPLES = 96, 48
-"""Rays from the clamp, one in 16 degrees, and points on each: parts as thin as L/48 are seen."""
+_DIRECTIONS, _ENOUGH, _RAY_SAMPLES = (96, 384), 12, 48
+"""Rays from the clamp, one in 16 degrees, or in 8 if fewer than so many meet the object; and points
+on each: parts as thin as L/48 are seen.
+"""
 _SPARSE = 4
 """Times as many on the free rod, so that an edge which it barely grazes is seen; every fourth is a
 starting point.
@@ -39,7 +41,9 @@ starting point.
 _CONE = 1.25
 """1 − cos of the widest ray's angle to the rod: 105°, beyond which no bent rod reaches."""
 _BESIDE = 0.04
-"""Distance [L] of seeds to the sides of an expected contact."""
+"""Distance [L] of seeds to the sides of an expected contact, and of the points beside the clamp
+that tell on which side of it the object is.
+"""
 _INWARD = 1e-4
 """Distance [L] past the place where the free rod enters the object."""
 _SIDES, _EVERY = 8, 6
@@ -271,21 +275,28 @@ def rays_meet(
     """
     point, tangent, _ = clamp
     first, second = _sideways(scene, clamp)
-    # A Fibonacci spiral over the directions within 105° of the tangent, and its mirror image.
-    order = np.arange(_DIRECTIONS // 2) + 0.5
-    azimuth = np.outer([1, -1], np.pi * (1 + np.sqrt(5)) * order).ravel()
-    cosine = np.tile(1 - 2 * _CONE * order / _DIRECTIONS, 2)
-    round_it = np.cos(azimuth)[:, None] * first + np.sin(azimuth)[:, None] * second
-    rays = cosine[:, None] * tangent + np.sqrt(1 - cosine**2)[:, None] * round_it
     distance = np.arange(1, _RAY_SAMPLES + 1) / _RAY_SAMPLES
-    values = levels(scene, point + distance[None, :, None] * rays[:, None, :])
 
-    def crossed(values: Float[np.ndarray, "rays samples"]) -> Float[np.ndarray, "k 3"]:
+    def crossed(
+        rays: Float[np.ndarray, "rays 3"], values: Float[np.ndarray, "rays samples"]
+    ) -> Float[np.ndarray, "k 3"]:
         ray, sample = np.nonzero((values[:, 1:] < 0) & (values[:, :-1] >= 0))
         away = _crossing(values, ray, sample, distance)[:, None]
         return np.asarray(point + away * rays[ray])
 
-    return crossed(values), crossed(-values)
+    for count in _DIRECTIONS:
+        # A golden spiral over one half of the directions within 105° of the tangent, and its mirror
+        # image.
+        order = np.arange(count // 2) + 0.5
+        azimuth = np.pi * np.outer([1, -1], (1 + np.sqrt(5)) / 2 * order % 1).ravel()
+        cosine = np.tile(1 - 2 * _CONE * order / count, 2)
+        round_it = np.cos(azimuth)[:, None] * first + np.sin(azimuth)[:, None] * second
+        rays = cosine[:, None] * tangent + np.sqrt(1 - cosine**2)[:, None] * round_it
+        values = levels(scene, point + distance[None, :, None] * rays[:, None, :])
+        enters, leaves = crossed(rays, values), crossed(rays, -values)
+        if len(enters) >= _ENOUGH:
+            break
+    return enters, leaves
 
 
 def _along(line: Float[np.ndarray, "n 3"], s: Float[np.ndarray, "*k"]) -> Float[np.ndarray, "*k 3"]:

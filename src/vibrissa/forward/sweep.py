@@ -264,8 +264,7 @@ class _Walk:
         walk.march(resolve=False)
         found = walk.found.steps
         lost = (found.mode == Mode.LOST).any(axis=1)
-        folds, changed = _folds(found.figure, found.phase)
-        lost |= (~_steady(found.reached.state.point) | (folds & ~changed)).any(axis=1)
+        lost |= ~_steady(found.reached.state.point).all(axis=1)
         found.mode[lost] = int(Mode.LOST)
         found.mode[:, _PARTS + 1 :] = int(Mode.WAITING)
         happened: list[list[Happened]] = [[] for _ in lanes]

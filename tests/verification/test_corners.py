@@ -174,7 +174,7 @@ def test_a_tip_contact_of_a_rod_of_no_taper_lies_as_deep_as_the_closed_form_has_
 
 
 class PastABox(NamedTuple):
-    """A straight rod that slides along the edges of a box, which its radius rounds."""
+    """A rod that slides along the edges of a box, which its radius rounds."""
 
     half_extents: list[float]
     turn: list[float]
@@ -185,7 +185,13 @@ class PastABox(NamedTuple):
     axes: list[list[float]]
 
     def told(
-        self, count: int, *, turn: Rotation | None = None, roll: float = 0.0, mirrored: bool = False
+        self,
+        count: int,
+        *,
+        rod: vb.Rod = PLAIN,
+        turn: Rotation | None = None,
+        roll: float = 0.0,
+        mirrored: bool = False,
     ) -> tuple[list[str], list[float]]:
         """Names and places of events, in a scene turned about the origin and moved, with its clamp
         rolled, or mirrored at the plane y = 0.
@@ -197,7 +203,7 @@ class PastABox(NamedTuple):
         way = trail(vb.Trail(np.multiply(self.ends, mirror), np.multiply(self.axes, flip)), count)
         axes = turn * Rotation.from_quat(way.orientation) * Rotation.from_rotvec([0, 0, roll])
         scan = vb.scan(
-            PLAIN,
+            rod,
             box.placed(turn.as_quat(), shift),
             vb.Trail(turn.apply(way.position) + shift, axes.as_quat()),
             finite_radius=True,
@@ -260,3 +266,27 @@ def test_a_rod_snaps_to_the_same_place_in_any_view(scene: PastABox) -> None:
         found, where = scene.told(41, turn=turn, roll=roll, mirrored=mirrored)
         assert found == names
         np.testing.assert_allclose(where, places, rtol=0, atol=1e-7)
+
+
+ONTO_ITS_TIP = PastABox(
+    [0.05389445, 0.30161873, 0.16589452],
+    [0.22462063, -0.66476687, 0.24910383, -0.66751619],
+    0.84192991,
+    [[-0.59479151, 0.12439929, 0.15455002], [0.59830185, 0.10624041, 0.05062739]],
+    [
+        [0.12798334, 0.03414918, 0.05648327, 0.98957756],
+        [-0.0532046, 0.14398246, 0.08917338, 0.98411708],
+    ],
+)
+
+
+def test_a_change_of_phase_is_where_the_contact_reaches_the_tip() -> None:
+    """Where a determinant is a hundredth of that on the other side: no line between two positions
+    tells the place.
+    """
+    rod = tapered(0.584587).curved(vb.RestShape.parabola(0.38310471, roll=4.14940146))
+    for count in (21, 41, 161, 641):
+        for turn in (Rotation.identity(), *Rotation.random(3, random_state=53)):
+            names, places = ONTO_ITS_TIP.told(count, rod=rod, turn=turn)
+            assert names[:3] == ["FIRST_CONTACT", "TANGENTIAL_TO_TIP", "SNAP"]
+            assert abs(places[1] - 0.571398) < 1e-6

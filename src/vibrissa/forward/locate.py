@@ -3,9 +3,10 @@ sign, by Newton's method; or as bracketed roots along the stretch, where each ev
 equilibrium.
 """
 
+from collections.abc import Callable
 from enum import IntEnum
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -72,6 +73,9 @@ class _Sought(NamedTuple):
     indicator: Int[np.ndarray, "k"]
 
 
+_Method: TypeAlias = Callable[[Scene, Law, _Sought], tuple[Place, Bool[np.ndarray, "k"]]]
+
+
 def located(
     scene: Scene,
     law: Law,
@@ -87,11 +91,10 @@ def located(
     before, after = (_indicated(end, indicator) for end in (low, high))
     found = _between(low, high, before / np.where(before == after, 1.0, before - after))
     sought = _Sought(stretches, low, high, found, indicator)
-    methods = [_bracketed]
+    methods: list[_Method] = [_bracketed]
     if law.branch:
         # Few are quicker found by code that is compiled already.
-        at = 1 if len(indicator) <= WIDTH else 0
-        methods.insert(at, _crossed)
+        methods.insert(int(len(indicator) <= WIDTH), _crossed)
         methods.append(_from_the_other_side)
     left = np.arange(len(indicator))
     for method in methods:

@@ -30,20 +30,12 @@ from vibrissa.mechanics.model import Clamp
 from vibrissa.numerics.lanes import AnyArray, lanes
 from vibrissa.surfaces import Offset
 
-_DIRECTIONS, _ENOUGH, _RAY_SAMPLES = (96, 384), 12, 48
-"""Rays from the clamp, one in 16 degrees, or in 8 if fewer than so many meet the object; and points
-on each: parts as thin as L/48 are seen.
-"""
-_SPARSE = 4
-"""Times as many on the free rod, so that an edge which it barely grazes is seen; every fourth is a
-starting point.
-"""
+_DIRECTIONS, _RAY_SAMPLES = 96, 48
+"""Rays from the clamp, one in 16 degrees, and points on each: parts as thin as L/48 are seen."""
 _CONE = 1.25
 """1 − cos of the widest ray's angle to the rod: 105°, beyond which no bent rod reaches."""
 _BESIDE = 0.04
-"""Distance [L] of seeds to the sides of an expected contact, and of the points beside the clamp
-that tell on which side of it the object is.
-"""
+"""Distance [L] of seeds to the sides of an expected contact."""
 _INWARD = 1e-4
 """Distance [L] past the place where the free rod enters the object."""
 _SIDES, _EVERY = 8, 6
@@ -61,8 +53,6 @@ _SETTLED = 1e-9
 """
 _SAME = 1e-6
 """Difference in the unknowns up to which two equilibria count as one."""
-_HEAD_ON = 1e-9
-"""Share of a level up to which its change beside the clamp is rounding, and tells no direction."""
 _THICKEST = 0.1
 """Radius [L] of the thickest rod used on the way round an edge."""
 _REACH = 1.2
@@ -219,14 +209,13 @@ def seeds_around(
     around expected places, with several magnitudes of the force.
     """
     point, tangent, _ = clamp
-    first, second = _sideways(scene, clamp)
+    first, second = _sideways(tangent)
     line, own_unknowns = chosen(free_rods(scene, Clamp(*(part[None] for part in clamp))), 0)
     meets, _ = rays_meet(scene, clamp)
-    distance = np.arange(1, _SPARSE * _RAY_SAMPLES + 1) / (_SPARSE * _RAY_SAMPLES)
+    distance = np.arange(1, _RAY_SAMPLES + 1) / _RAY_SAMPLES
     along = _along(line, distance)
     own = levels(scene, along[None])[0]
-    every = slice(_SPARSE - 1, None, _SPARSE)
-    inside = along[every][own[every] < 0]
+    inside = along[own < 0]
     expected = np.concatenate([np.reshape(near, (-1, 3)), inside])
     around = expected[:, None] + _BESIDE * np.stack([0 * first, first, -first, second, -second])
     # From where the free rod enters the object, and from inside it: the ways out sideways.
@@ -254,17 +243,13 @@ def seeds_around(
     return State(places, pushes, np.zeros((count, 0)), owned)
 
 
-def _sideways(scene: Scene, clamp: Clamp) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """Two unit vectors across the rod at its clamp, the first away from the object: what is laid
-    out about them turns with the scene, and not with the clamp about the rod.
-    """
-    axes = np.stack([clamp.across, np.cross(clamp.tangent, clamp.across)])
-    around = levels(scene, clamp.point + _BESIDE * np.stack([axes, -axes], axis=1))
-    slope = around[:, 0] - around[:, 1]
-    if np.linalg.norm(slope) < _HEAD_ON * np.abs(around).max():
-        slope = np.array([1.0, 0.0])
-    first = slope @ axes / np.linalg.norm(slope)
-    return first, np.cross(clamp.tangent, first)
+def _sideways(
+    tangent: Float[np.ndarray, "3"],
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Two unit vectors across a tangent."""
+    first = np.cross(tangent, np.eye(3)[np.argmin(np.abs(tangent))])
+    first /= np.linalg.norm(first)
+    return first, np.cross(tangent, first)
 
 
 def rays_meet(
@@ -274,29 +259,21 @@ def rays_meet(
     length.
     """
     point, tangent, _ = clamp
-    first, second = _sideways(scene, clamp)
+    first, second = _sideways(tangent)
+    # A Fibonacci spiral over the directions within 105° of the tangent.
+    order = np.arange(_DIRECTIONS) + 0.5
+    azimuth, cosine = np.pi * (1 + np.sqrt(5)) * order, 1 - _CONE * order / _DIRECTIONS
+    round_it = np.cos(azimuth)[:, None] * first + np.sin(azimuth)[:, None] * second
+    rays = cosine[:, None] * tangent + np.sqrt(1 - cosine**2)[:, None] * round_it
     distance = np.arange(1, _RAY_SAMPLES + 1) / _RAY_SAMPLES
+    values = levels(scene, point + distance[None, :, None] * rays[:, None, :])
 
-    def crossed(
-        rays: Float[np.ndarray, "rays 3"], values: Float[np.ndarray, "rays samples"]
-    ) -> Float[np.ndarray, "k 3"]:
+    def crossed(values: Float[np.ndarray, "rays samples"]) -> Float[np.ndarray, "k 3"]:
         ray, sample = np.nonzero((values[:, 1:] < 0) & (values[:, :-1] >= 0))
         away = _crossing(values, ray, sample, distance)[:, None]
         return np.asarray(point + away * rays[ray])
 
-    for count in _DIRECTIONS:
-        # A golden spiral over one half of the directions within 105° of the tangent, and its mirror
-        # image.
-        order = np.arange(count // 2) + 0.5
-        azimuth = np.pi * np.outer([1, -1], (1 + np.sqrt(5)) / 2 * order % 1).ravel()
-        cosine = np.tile(1 - 2 * _CONE * order / count, 2)
-        round_it = np.cos(azimuth)[:, None] * first + np.sin(azimuth)[:, None] * second
-        rays = cosine[:, None] * tangent + np.sqrt(1 - cosine**2)[:, None] * round_it
-        values = levels(scene, point + distance[None, :, None] * rays[:, None, :])
-        enters, leaves = crossed(rays, values), crossed(rays, -values)
-        if len(enters) >= _ENOUGH:
-            break
-    return enters, leaves
+    return crossed(values), crossed(-values)
 
 
 def _along(line: Float[np.ndarray, "n 3"], s: Float[np.ndarray, "*k"]) -> Float[np.ndarray, "*k 3"]:
@@ -425,7 +402,7 @@ def different(states: State) -> Int[np.ndarray, "j"]:
 
 def _different(found: Solutions, clamp: Clamp) -> tuple[list[int], list[int]]:
     """Rows of solutions of which no two are the same, and how often each was found."""
-    near = np.linalg.norm(found.state.point - clamp.point, axis=1) < _REACH
+    near = np.abs(found.state.point - clamp.point).max(axis=1, initial=0.0) < _REACH
     sound = (found.residual < _SETTLED) & (found.state.force > 0) & near
     return _apart(found.state.flat_rows, np.flatnonzero(sound))
 

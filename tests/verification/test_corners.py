@@ -185,11 +185,7 @@ class PastABox(NamedTuple):
     axes: list[list[float]]
 
     def told(
-        self,
-        count: int,
-        *,
-        rod: vb.Rod = PLAIN,
-        turn: Rotation | None = None,
+        self, count: int, *, rod: vb.Rod = PLAIN, turn: Rotation | None = None
     ) -> tuple[list[str], list[float]]:
         """Names and places of events, in a scene turned about the origin and moved."""
         turn, shift = turn or Rotation.identity(), np.array([0.3, -0.2, 0.5])

@@ -164,12 +164,7 @@ def _crossing(
 
 
 def _bracketed(
-    scene: Scene,
-    law: Law,
-    sought: _Sought,
-    *,
-    farther: bool = False,
-    within: float = _SOUND,
+    scene: Scene, law: Law, sought: _Sought, *, farther: bool = False, within: float = _SOUND
 ) -> tuple[Place, Bool[np.ndarray, "k"]]:
     """The same by bracketing: each equilibrium in between is one step from the first place or,
     without friction, from the one nearer to zero, or the one farther from it.

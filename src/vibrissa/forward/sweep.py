@@ -187,6 +187,7 @@ class _Walk:
         self._go_on(lanes, n - ends)
         failed = np.flatnonzero(ends < n)
         for lane, end in zip(lanes[failed], ends[failed], strict=True):
+            # What lies behind a fold that was passed over is to be marched anew.
             self.found.steps.mode[lane, end:] = int(Mode.LOST)
         if not resolve:
             return
@@ -202,8 +203,8 @@ class _Walk:
     def _past_a_fold(
         self, lanes: Int[np.ndarray, "k"], first: Int[np.ndarray, "k"], ends: Int[np.ndarray, "k"]
     ) -> Int[np.ndarray, "k"]:
-        """The position at which each lane, marched between two, may have stepped over a fold; n if
-        none has.
+        """The first position after `first`, and before its end, where each lane may have stepped
+        over a fold; n if there is none. With friction there are no folds.
         """
         n = self._clear.shape[1]
         if not self._law.branch or n == 1:
@@ -263,8 +264,8 @@ class _Walk:
         walk.resume(before)
         walk.march(resolve=False)
         found = walk.found.steps
-        lost = (found.mode == Mode.LOST).any(axis=1)
-        lost |= ~_steady(found.reached.state.point).all(axis=1)
+        steady = _steady(found.reached.state.point).all(axis=1)
+        lost = (found.mode == Mode.LOST).any(axis=1) | ~steady
         found.mode[lost] = int(Mode.LOST)
         found.mode[:, _PARTS + 1 :] = int(Mode.WAITING)
         happened: list[list[Happened]] = [[] for _ in lanes]

@@ -185,14 +185,23 @@ class PastABox(NamedTuple):
     axes: list[list[float]]
 
     def told(
-        self, count: int, *, rod: vb.Rod = PLAIN, turn: Rotation | None = None
+        self,
+        count: int,
+        *,
+        rod: vb.Rod = PLAIN,
+        turn: Rotation | None = None,
+        roll: float = 0.0,
+        mirrored: bool = False,
     ) -> tuple[list[str], list[float]]:
-        """Names and places of events, in a scene turned about the origin and moved."""
+        """Names and places of events, in a scene turned about the origin and moved, with its clamp
+        rolled, or mirrored at the plane y = 0.
+        """
         turn, shift = turn or Rotation.identity(), np.array([0.3, -0.2, 0.5])
+        flip, mirror = ([-1, 1, -1, 1], [1, -1, 1]) if mirrored else ([1, 1, 1, 1], [1, 1, 1])
         box = vb.surfaces.Box(center=(0, 0, 0), half_extents=self.half_extents)
-        box = box.placed(self.turn, (0, 0, self.height))
-        way = trail(vb.Trail(self.ends, self.axes), count)
-        axes = turn * Rotation.from_quat(way.orientation)
+        box = box.placed(np.multiply(self.turn, flip), (0, 0, self.height))
+        way = trail(vb.Trail(np.multiply(self.ends, mirror), np.multiply(self.axes, flip)), count)
+        axes = turn * Rotation.from_quat(way.orientation) * Rotation.from_rotvec([0, 0, roll])
         scan = vb.scan(
             rod,
             box.placed(turn.as_quat(), shift),
@@ -220,6 +229,20 @@ SOON_AFTER = PastABox(
     [[-0.3720243, 0.2256113, 0.10476982], [0.4344099, -0.02430182, -0.0151824]],
     [[-0.02169107, -0.15287169, 0.18249105, 0.97100812]] * 2,
 )
+TWO_TO_SNAP_TO = PastABox(
+    [0.39384275, 0.06414005, 0.09297534],
+    [-0.39409327, -0.67129806, 0.11915982, 0.61632],
+    1.18577692,
+    [[0.24194697, -0.30144097, 0.1321333], [-0.08584195, 0.37687684, -0.00189123]],
+    [[-0.01825061, -0.10557208, -0.161935, 0.98096815]] * 2,
+)
+DEEP_BELOW = PastABox(
+    [0.29581831, 0.26129818, 0.24045917],
+    [0.909993, -0.14000557, -0.35991224, -0.15091174],
+    0.80030871,
+    [[-0.00483803, -0.47285194, 0.13765779], [0.18442945, 0.43542869, 0.11259774]],
+    [[0.03150601, -0.04588743, -0.25715597, 0.96476553]] * 2,
+)
 
 
 @pytest.mark.parametrize("scene", [SMALL_SNAP, SOON_AFTER])
@@ -231,6 +254,18 @@ def test_a_tip_that_snaps_along_an_edge_does_so_with_any_steps(scene: PastABox) 
         found, where = scene.told(count)
         assert found == names
         np.testing.assert_allclose(where, places, rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("scene", [TWO_TO_SNAP_TO, DEEP_BELOW])
+def test_a_rod_snaps_to_the_same_place_in_any_view(scene: PastABox) -> None:
+    """There are several equilibria to snap to."""
+    names, places = scene.told(41)
+    assert "SNAP" in names[:-1]
+    turns = Rotation.random(4, random_state=3)
+    for turn, roll, mirrored in zip(turns, (0.0, 1.1, 4.0, 0.0), (False, True) * 2, strict=True):
+        found, where = scene.told(41, turn=turn, roll=roll, mirrored=mirrored)
+        assert found == names
+        np.testing.assert_allclose(where, places, rtol=0, atol=1e-7)
 
 
 ONTO_ITS_TIP = PastABox(

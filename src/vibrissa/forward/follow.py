@@ -3,9 +3,8 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Float
 
-from vibrissa.contact import Law, Reached, Scene
+from vibrissa.contact import Law, Reached, Scene, State
 from vibrissa.contacts import Status
 from vibrissa.forward.approach import (
     CLEAR,
@@ -104,7 +103,7 @@ class _Follower:
             # somewhere other than where it was first seen.
             for ahead in _AFTER_CONTACT:
                 at = min(1.0, fraction + ahead)
-                here = self._settled(at, np.inf, [state.point])
+                here = self._settled(at, np.inf, self._way.leaving(end.at))
                 if here is not None:
                     return here, at
             raise LostError
@@ -112,7 +111,7 @@ class _Follower:
         if self._clear(fraction):
             return None, fraction
         energy = self._way.energy(end.at) - ENERGY_MARGIN
-        here = self._settled(fraction, energy, [state.point])
+        here = self._settled(fraction, energy, self._way.leaving(end.at))
         if here is None and not self._clear(1.0):
             raise LostError
         # If there is none, whatever is left of the contact ends before the next position.
@@ -140,17 +139,13 @@ class _Follower:
         met = chosen(meetings_on(self._scene, rest, np.array([before]), np.array([after])), 0)
         return Meeting(fraction + (1 - fraction) * met.fraction, *met[1:])
 
-    def _found(
-        self, fraction: float, energy: float, near: list[Float[np.ndarray, "3"]]
-    ) -> Settled | None:
+    def _found(self, fraction: float, energy: float, near: State | None) -> Settled | None:
         """The stable frictionless equilibrium of least energy, if that energy is below `energy`."""
         clamp = self._stretch.clamps(np.array([fraction]))
         found = stable_equilibria(self._scene, clamp, near)
         return found[0] if found and found[0].energy < energy else None
 
-    def _settled(
-        self, fraction: float, energy: float, near: list[Float[np.ndarray, "3"]]
-    ) -> Place | None:
+    def _settled(self, fraction: float, energy: float, near: State | None) -> Place | None:
         found = self._found(fraction, energy, near)
         return None if found is None else self._way.settled(found, fraction)
 
@@ -158,7 +153,7 @@ class _Follower:
         """Restart the lane at the end of the stretch, whatever came before. It is lost if there is
         no equilibrium, or if the side to which the rod bends depends on its past.
         """
-        found = self._found(1.0, np.inf, [])
+        found = self._found(1.0, np.inf, None)
         if found is None or found.neutral:
             return self._failed(Status.NO_EQUILIBRIUM if found is None else Status.HEAD_ON)
         here = self._way.settled(found, 1.0)

@@ -30,12 +30,20 @@ from vibrissa.mechanics.model import Clamp
 from vibrissa.numerics.lanes import AnyArray, lanes
 from vibrissa.surfaces import Offset
 
-_DIRECTIONS, _RAY_SAMPLES = 96, 48
-"""Rays from the clamp, one in 16 degrees, and points on each: parts as thin as L/48 are seen."""
+_DIRECTIONS, _ENOUGH, _RAY_SAMPLES = (96, 384), 12, 48
+"""Rays from the clamp, one in 16 degrees, or in 8 if fewer than so many meet the object; and points
+on each: parts as thin as L/48 are seen.
+"""
+_SPARSE = 4
+"""Times as many on the free rod, so that an edge which it barely grazes is seen; every fourth is a
+starting point.
+"""
 _CONE = 1.25
 """1 − cos of the widest ray's angle to the rod: 105°, beyond which no bent rod reaches."""
 _BESIDE = 0.04
-"""Distance [L] of seeds to the sides of an expected contact."""
+"""Distance [L] of seeds to the sides of an expected contact, and of the points beside the clamp
+that tell on which side of it the object is.
+"""
 _INWARD = 1e-4
 """Distance [L] past the place where the free rod enters the object."""
 _SIDES, _EVERY = 8, 6
@@ -53,6 +61,8 @@ _SETTLED = 1e-9
 """
 _SAME = 1e-6
 """Difference in the unknowns up to which two equilibria count as one."""
+_HEAD_ON = 1e-9
+"""Share of a level up to which its change beside the clamp is rounding, and tells no direction."""
 _THICKEST = 0.1
 """Radius [L] of the thickest rod used on the way round an edge."""
 _REACH = 1.2
@@ -99,20 +109,20 @@ class Solutions(NamedTuple):
     """Before the last step."""
 
 
-def stable_equilibria(
-    scene: Scene, clamp: Clamp, near: list[Float[np.ndarray, "3"]]
-) -> list[Settled]:
+def stable_equilibria(scene: Scene, clamp: Clamp, near: State | None) -> list[Settled]:
     """Admissible stable equilibria found at a clamp pose, lowest energy first; where there are
     none, the one that enters the object least.
 
     Among equal energies, as for a rod that may bend to any side, the equilibrium nearest to the
-    first of the points `near` comes first.
+    first of the states `near` comes first.
 
     Newton's method starts, with four magnitudes of the force, where rays from the clamp meet the
     object within the rod's length; where the free rod lies inside it, and a little to the side;
-    and around the points `near` which a contact is expected.
+    around the first contact `near` which one is expected; and from each of those states.
     """
-    seeds = eased(scene, clamp, seeds_around(scene, clamp, near, FORCES))
+    expected = [] if near is None else [near.point[0]]
+    seeds = seeds_around(scene, clamp, expected, FORCES)
+    seeds = eased(scene, clamp, seeds if near is None else joined(seeds, near))
     # In closed form choosing takes longer than it saves.
     sparing = scene.rod.rough is not None
     found = solutions(scene, clamp, FRICTIONLESS, seeds, sparing=sparing)
@@ -129,9 +139,8 @@ def stable_equilibria(
         caught = sound & (values.depth < _CAUGHT)
         good = caught & (values.depth == values.depth[caught].min(initial=np.inf))
     rows = np.flatnonzero(good)
-    away = (
-        np.linalg.norm(found.state.point[rows] - near[0], axis=1) if near else np.zeros(len(rows))
-    )
+    there = found.state.point[rows]
+    away = np.linalg.norm(there - expected, axis=1) if expected else np.zeros(len(rows))
     energy = values.potential[rows]
     least = energy.min(initial=np.inf)
     order = np.lexsort((away, np.where(energy < least + ENERGY_MARGIN, least, energy)))
@@ -209,13 +218,14 @@ def seeds_around(
     around expected places, with several magnitudes of the force.
     """
     point, tangent, _ = clamp
-    first, second = _sideways(tangent)
+    first, second = _sideways(scene, clamp)
     line, own_unknowns = chosen(free_rods(scene, Clamp(*(part[None] for part in clamp))), 0)
     meets, _ = rays_meet(scene, clamp)
-    distance = np.arange(1, _RAY_SAMPLES + 1) / _RAY_SAMPLES
+    distance = np.arange(1, _SPARSE * _RAY_SAMPLES + 1) / (_SPARSE * _RAY_SAMPLES)
     along = _along(line, distance)
     own = levels(scene, along[None])[0]
-    inside = along[own < 0]
+    every = slice(_SPARSE - 1, None, _SPARSE)
+    inside = along[every][own[every] < 0]
     expected = np.concatenate([np.reshape(near, (-1, 3)), inside])
     around = expected[:, None] + _BESIDE * np.stack([0 * first, first, -first, second, -second])
     # From where the free rod enters the object, and from inside it: the ways out sideways.
@@ -243,13 +253,17 @@ def seeds_around(
     return State(places, pushes, np.zeros((count, 0)), owned)
 
 
-def _sideways(
-    tangent: Float[np.ndarray, "3"],
-) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """Two unit vectors across a tangent."""
-    first = np.cross(tangent, np.eye(3)[np.argmin(np.abs(tangent))])
-    first /= np.linalg.norm(first)
-    return first, np.cross(tangent, first)
+def _sideways(scene: Scene, clamp: Clamp) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Two unit vectors across the rod at its clamp, the first away from the object: what is laid
+    out about them turns with the scene, and not with the clamp about the rod.
+    """
+    axes = np.stack([clamp.across, np.cross(clamp.tangent, clamp.across)])
+    around = levels(scene, clamp.point + _BESIDE * np.stack([axes, -axes], axis=1))
+    slope = around[:, 0] - around[:, 1]
+    if np.linalg.norm(slope) < _HEAD_ON * np.abs(around).max():
+        slope = np.array([1.0, 0.0])
+    first = slope @ axes / np.linalg.norm(slope)
+    return first, np.cross(clamp.tangent, first)
 
 
 def rays_meet(
@@ -259,21 +273,29 @@ def rays_meet(
     length.
     """
     point, tangent, _ = clamp
-    first, second = _sideways(tangent)
-    # A Fibonacci spiral over the directions within 105° of the tangent.
-    order = np.arange(_DIRECTIONS) + 0.5
-    azimuth, cosine = np.pi * (1 + np.sqrt(5)) * order, 1 - _CONE * order / _DIRECTIONS
-    round_it = np.cos(azimuth)[:, None] * first + np.sin(azimuth)[:, None] * second
-    rays = cosine[:, None] * tangent + np.sqrt(1 - cosine**2)[:, None] * round_it
+    first, second = _sideways(scene, clamp)
     distance = np.arange(1, _RAY_SAMPLES + 1) / _RAY_SAMPLES
-    values = levels(scene, point + distance[None, :, None] * rays[:, None, :])
 
-    def crossed(values: Float[np.ndarray, "rays samples"]) -> Float[np.ndarray, "k 3"]:
+    def crossed(
+        rays: Float[np.ndarray, "rays 3"], values: Float[np.ndarray, "rays samples"]
+    ) -> Float[np.ndarray, "k 3"]:
         ray, sample = np.nonzero((values[:, 1:] < 0) & (values[:, :-1] >= 0))
         away = _crossing(values, ray, sample, distance)[:, None]
         return np.asarray(point + away * rays[ray])
 
-    return crossed(values), crossed(-values)
+    for count in _DIRECTIONS:
+        # A golden spiral over one half of the directions within 105° of the tangent, and its mirror
+        # image.
+        order = np.arange(count // 2) + 0.5
+        azimuth = np.pi * np.outer([1, -1], (1 + np.sqrt(5)) / 2 * order % 1).ravel()
+        cosine = np.tile(1 - 2 * _CONE * order / count, 2)
+        round_it = np.cos(azimuth)[:, None] * first + np.sin(azimuth)[:, None] * second
+        rays = cosine[:, None] * tangent + np.sqrt(1 - cosine**2)[:, None] * round_it
+        values = levels(scene, point + distance[None, :, None] * rays[:, None, :])
+        enters, leaves = crossed(rays, values), crossed(rays, -values)
+        if len(enters) >= _ENOUGH:
+            break
+    return enters, leaves
 
 
 def _along(line: Float[np.ndarray, "n 3"], s: Float[np.ndarray, "*k"]) -> Float[np.ndarray, "*k 3"]:
@@ -402,7 +424,7 @@ def different(states: State) -> Int[np.ndarray, "j"]:
 
 def _different(found: Solutions, clamp: Clamp) -> tuple[list[int], list[int]]:
     """Rows of solutions of which no two are the same, and how often each was found."""
-    near = np.abs(found.state.point - clamp.point).max(axis=1, initial=0.0) < _REACH
+    near = np.linalg.norm(found.state.point - clamp.point, axis=1) < _REACH
     sound = (found.residual < _SETTLED) & (found.state.force > 0) & near
     return _apart(found.state.flat_rows, np.flatnonzero(sound))
 

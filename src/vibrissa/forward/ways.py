@@ -71,6 +71,13 @@ class Way(ABC):
         neighbouring state is left; changes are noted as they happen.
         """
 
+    def leaving(self, end: Place) -> State:
+        """Frictionless states (k, …) that a rod passes when it leaves the end of a way, from there
+        on.
+        """
+        state = end.reached.state
+        return State(state.point[None], state.force[None], np.zeros((1, 0)), state.own[None])
+
     def energy(self, at: Place) -> float:
         """Potential [EI/L]."""
         return float(self._assessed(at.reached.state, at.fraction).potential)
@@ -105,6 +112,8 @@ _CHANGES = (
     EventKind.LATERAL_RECOVERY,
 )
 """Of a contact that goes on."""
+_LEAPS = (0.02, 0.05, 0.1, 0.2, 0.4)
+"""How far [L] along the tangent at the end of a branch an equilibrium is searched for."""
 _LOOKS_AHEAD, _NEAR = (1e-6, 1e-5), 1e-3
 """Fractions of the stretch past the end of a branch at which to look for an equilibrium, and how
 near [L] it must be to continue the branch.
@@ -196,6 +205,11 @@ class Branch(Way):
     def settled(self, found: Settled, fraction: float) -> Place | None:
         """As in `Way`."""
         return self._at(_flat(found.state, fraction))
+
+    def leaving(self, end: Place) -> State:
+        """As in `Way`: behind a fold the potential falls as the branch goes on."""
+        y = _of(end) + np.outer([0.0, *_LEAPS], end.onward / self._weights)
+        return State(y[:, :3], y[:, 3], np.zeros((len(y), 0)), y[:, 4:-1])
 
     def _at(self, y: Float[np.ndarray, "..."]) -> Place | None:
         """Place at y as given, its tangent pointing forward on the stretch."""

@@ -268,6 +268,54 @@ def test_a_rod_snaps_to_the_same_place_in_any_view(scene: PastABox) -> None:
         np.testing.assert_allclose(where, places, rtol=0, atol=1e-7)
 
 
+PAST_A_CORNER = PastABox(
+    [0.07997721, 0.13288368, 0.33044606],
+    [-0.5572357, -0.28853744, 0.21412314, 0.74858921],
+    0.83765146,
+    [[0.37133178, -0.38128983, 0.03137635], [-0.47635491, 0.23739256, 0.0787734]],
+    [
+        [0.05481847, 0.11499135, -0.22319602, 0.96641372],
+        [0.08184371, -0.01768799, -0.10133922, 0.9913219],
+    ],
+)
+ON_TO_A_CORNER = PastABox(
+    [0.34814188, 0.35971253, 0.31799798],
+    [-0.13424625, -0.66064953, -0.08605318, -0.73356322],
+    0.82007989,
+    [[-0.62829062, 0.19202761, 0.20829423], [0.65548727, 0.04427364, 0.1662927]],
+    [[-0.04189236, -0.04931348, -0.04853762, 0.99672329]] * 2,
+)
+
+
+@pytest.mark.parametrize(
+    ("scene", "tip", "curvature", "roll", "happened"),
+    [
+        (PAST_A_CORNER, 0.40158061, -0.02513844, 0.95843349, ["FIRST_CONTACT", "SNAP"]),
+        (
+            ON_TO_A_CORNER,
+            0.33984527,
+            0.45120453,
+            5.70527706,
+            ["FIRST_CONTACT", "TIP_TO_TANGENTIAL"],
+        ),
+    ],
+)
+def test_a_rod_moves_on_over_the_corner_of_a_box_in_any_view(
+    scene: PastABox, tip: float, curvature: float, roll: float, happened: list[str]
+) -> None:
+    """Where the contact passes from an edge onto a corner and on within 1e-6 L, the determinant of
+    either differs by orders of magnitude, and in sign. Neither snaps there.
+    """
+    rod = tapered(tip).curved(vb.RestShape.parabola(curvature, roll=roll))
+    names, places = scene.told(41, rod=rod)
+    assert names[:2] == happened
+    turns = [*Rotation.random(3, random_state=3), *Rotation.random(3, random_state=28)]
+    for turn in turns:
+        found, where = scene.told(41, rod=rod, turn=turn)
+        assert found == names
+        np.testing.assert_allclose(where, places, rtol=0, atol=1e-6)
+
+
 ONTO_ITS_TIP = PastABox(
     [0.05389445, 0.30161873, 0.16589452],
     [0.22462063, -0.66476687, 0.24910383, -0.66751619],

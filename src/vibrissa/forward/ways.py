@@ -105,18 +105,15 @@ shortest is what rounding leaves at a fold.
 _MOST_STEPS = 600
 _BIFURCATION_STEP = 2e-5
 """[L] down to which a step across a change of the determinant's sign is refined."""
-_CHANGES = (
-    EventKind.TIP_TO_TANGENTIAL,
-    EventKind.TANGENTIAL_TO_TIP,
-    EventKind.LATERAL_INSTABILITY,
-    EventKind.LATERAL_RECOVERY,
-)
+_LATERAL = {EventKind.LATERAL_INSTABILITY, EventKind.LATERAL_RECOVERY}
+_CHANGES = {EventKind.TIP_TO_TANGENTIAL, EventKind.TANGENTIAL_TO_TIP} | _LATERAL
 """Of a contact that goes on."""
 _LEAPS = (0.02, 0.05, 0.1, 0.2, 0.4)
 """How far [L] along the tangent at the end of a branch an equilibrium is searched for."""
-_LOOKS_AHEAD, _NEAR = (1e-6, 1e-5), 1e-3
+_LOOKS_AHEAD, _NEAR = (1e-6, 1e-5, 1e-4, 1e-3), 1e-4
 """Fractions of the stretch past the end of a branch at which to look for an equilibrium, and how
-near [L] it must be to continue the branch.
+near [L] it must be to continue the branch: a rod that jumps by less does not snap, and changes
+that are no farther apart are at one place.
 """
 _FORCE_WEIGHT, _LARGE_FORCE = 0.1, 5.0
 """Make force [EI/L²] and fraction of the stretch comparable with the contact point's path."""
@@ -317,7 +314,7 @@ class Branch(Way):
                 beyond = self._beyond(here)
                 if beyond is None:
                     return self._snapped(here, happened)
-                happened += self._changes(here, beyond, corner=here) or []
+                self._note(happened, self._changes(here, beyond, corner=here))
                 here, step = beyond, _FIRST_STEP
             following, fold = self._ahead_of_a_fold(here, self._along(here, step))
             if following is not None and following.fraction >= 1:
@@ -325,7 +322,7 @@ class Branch(Way):
             if following is not None and following.reached.state.force < 0:
                 release = self._release(here, following)
                 if release is not None:
-                    happened += self._changes(here, release) or []
+                    self._note(happened, self._changes(here, release))
                     return End("released", release)
                 following = None
             if following is None:
@@ -340,12 +337,15 @@ class Branch(Way):
             if changes is None:
                 step /= 2
                 continue
-            happened += changes
+            self._note(happened, changes)
             here = following
             if here.fraction >= 1:
                 return End("arrived", here)
             if fold is not None:
-                return self._snapped(fold, happened)
+                beyond = self._beyond(fold)
+                if beyond is None:
+                    return self._snapped(fold, happened)
+                here = beyond
             step = min(1.5 * step, _LONGEST_STEP)
         return End("stuck", here)
 
@@ -353,15 +353,31 @@ class Branch(Way):
         """Where a branch ends its determinant, and at a corner its phase, may have changed already:
         with nothing behind, that is no event before the end.
         """
-        end = _of(at)
-
-        def counts(kind: EventKind, fraction: float, point: Float[np.ndarray, "3"]) -> bool:
-            place = [0, 1, 2, -1]
-            off = np.abs((np.append(point, fraction) - end[place]) * self._weights[place]).max()
-            return kind not in _CHANGES or off > _BIFURCATION_STEP
-
-        happened[:] = [one for one in happened if counts(*one)]
+        change = EventKind.SNAP, at.fraction, at.reached.state.point
+        happened[:] = [
+            one for one in happened if one[0] not in _CHANGES or self._apart(one, change)
+        ]
         return End("snapped", at)
+
+    def _note(self, happened: list[Happened], changes: list[Happened] | None) -> None:
+        """Add changes, except what undoes another at the same place."""
+        for change in changes or []:
+            undone = [
+                row
+                for row, one in enumerate(happened)
+                if {one[0], change[0]} == _LATERAL and not self._apart(one, change)
+            ]
+            if undone:
+                del happened[undone[-1]]
+            else:
+                happened.append(change)
+
+    def _apart(self, one: Happened, other: Happened) -> bool:
+        """Whether two events are not at the same place."""
+        _, fraction, point = one
+        _, its_fraction, its_point = other
+        away = np.append(point - its_point, fraction - its_fraction) * self._weights[[0, 1, 2, -1]]
+        return bool(np.abs(away).max() > _NEAR)
 
     def _release(self, here: Place, following: Place) -> Place | None:
         """Where the force falls to zero; None if it pulls on another branch."""

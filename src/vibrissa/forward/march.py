@@ -83,9 +83,9 @@ class _Carry(NamedTuple):
     last: Reached
     differences: Differences
     """Of point, force and the rod's own unknowns."""
-    age: Array
+    age: Int[Any, ""]
     """Positions since the contact began; differences of higher order are not known yet: zero."""
-    mode: Array
+    mode: Int[Any, ""]
     slopes: Slopes | None
     """Where they are those of a rougher rod."""
 
@@ -104,8 +104,12 @@ is another one, even where the contact is nearly in its place.
 """
 STABLE = -1.0
 """Sign of the Jacobian's determinant on a stable branch."""
-_FAN, _SHORTEST_TRAIL = 1 + POINTS, 256
-"""Positions of lanes that only locate an event, and room for those of a trail."""
+_FAN, _ROOM = 1 + POINTS, 256
+"""Positions of lanes that only locate an event, and of a trail that are walked in one call: code is
+compiled once for trails of any length.
+"""
+_BACK = 3
+"""Positions behind a lane that it looks back at."""
 SINGLE = 8
 """Up to this many lanes are walked one after another; more are quicker side by side."""
 
@@ -137,32 +141,50 @@ def entering(scene: Scene, law: Law, clamps: Clamp) -> Legs:
 
 def march(scene: Scene, law: Law, legs: Legs) -> Steps:
     """Walk k lanes through all of their n positions: legs and steps (k, n, …), in model units."""
-    walk, padded = _sized(legs)
-    steps: Steps = walk((scene, law, np.asarray(legs.clear.shape[1])), padded)
-    return chosen(steps, np.s_[:, : legs.clear.shape[1]])
+    count, n = legs.clear.shape
+    walk, room = _kernel(count, n)
+    waiting, nothing = np.full((count, n), int(Mode.WAITING)), np.full((count, n), np.nan)
+    steps = Steps(nowhere(scene, law, count, n), waiting, *(nothing.copy() for _ in range(3)))
+    carry, at = _before(scene, law, legs), int(legs.start.min(initial=n))
+    while at < n:
+        first = max(0, at - _BACK)
+        end = min(first + room, n)
+        shared = scene, law, np.asarray(at - first), np.asarray(end - first)
+        part, carry = walk(shared, _window(legs, first, end, room), carry)
+        for whole, own in zip(jax.tree.leaves(steps), jax.tree.leaves(part), strict=True):
+            whole[:, at:end] = own[:, at - first : end - first]
+        at = end
+    return steps
 
 
 def march_ahead(scene: Scene, law: Law, clamps: Clamp) -> None:
     """Compile in the background what the march through clamps (k, n, 3) needs."""
-    walk, padded = _sized(entering(scene, law, clamps))
-    walk.ahead((scene, law, np.asarray(0)), padded)
-
-
-def _sized(legs: Legs) -> tuple[Lanes[Any, Any], Legs]:
-    """The kernel that walks such lanes, and legs padded to its size."""
+    legs = entering(scene, law, clamps)
     count, n = legs.clear.shape
-    # Each size is compiled separately: up to a block of short lanes share that of a trail.
-    short = n <= _FAN and count > WIDTH
-    size = _FAN if short else max(_SHORTEST_TRAIL, 1 << (n - 1).bit_length())
+    walk, room = _kernel(count, n)
+    shared = scene, law, np.asarray(0), np.asarray(0)
+    walk.ahead(shared, _window(legs, 0, min(n, room), room), _before(scene, law, legs))
+
+
+def _kernel(count: int, n: int) -> tuple[Lanes[Any, Any], int]:
+    """What walks such lanes, and how many positions in one call: up to a block of short lanes share
+    the code for a trail.
+    """
+    return (_fans, _FAN) if n <= _FAN and count > WIDTH else (_trails, _ROOM)
+
+
+def _window(legs: Legs, first: int, end: int, room: int) -> Legs:
+    """Legs with the positions from `first` to `end`, padded to a number."""
 
     def padded(rows: np.ndarray) -> np.ndarray:
-        whole = np.zeros((count, size, *rows.shape[2:]), rows.dtype)
-        whole[:, :n] = rows
+        whole = np.zeros((len(rows), room, *rows.shape[2:]), rows.dtype)
+        whole[:, : end - first] = rows[:, first:end]
         return whole
 
     clamp, clear, met, meeting = jax.tree.map(padded, legs[:4])
-    legs = legs._replace(clamp=clamp, clear=clear, met=met, meeting=meeting)
-    return (_fans if short else _trails), legs
+    return legs._replace(
+        clamp=clamp, clear=clear, met=met, meeting=meeting, start=legs.start - first
+    )
 
 
 def from_seeds(
@@ -172,9 +194,9 @@ def from_seeds(
     is a first contact on a lane that then goes on as if it had not happened. The step from a
     residual within the tolerance is the last.
     """
-    count, room = len(seeds.force), _SHORTEST_TRAIL - 1
+    count, room = len(seeds.force), _ROOM - 1
     rows = -(-count // room)
-    lane, position = np.indices((rows, _SHORTEST_TRAIL))
+    lane, position = np.indices((rows, _ROOM))
     which = lane * room + position - 1
     given = (position > 0) & (which < count)
     which = np.clip(which, 0, count - 1)
@@ -197,27 +219,36 @@ def from_seeds(
     return found
 
 
-def _walk(shared: tuple[Scene, Law, Int[Array, ""]], legs: Legs) -> Steps:
-    """Walk a lane through the first `count` of its positions; scene, law and count are shared."""
-    scene, law, count = shared
+def _before(scene: Scene, law: Law, legs: Legs) -> _Carry:
+    """What lanes (k, …) carry before they enter."""
+    count, unknowns = len(legs.start), 4 + scene.rod.unknowns
+    none, age = np.zeros((count, unknowns)), np.zeros(count, dtype=int)
+    slopes = Slopes.none(unknowns) if law.branch and scene.rod.rough is not None else None
+    slopes = jax.tree.map(lambda part: np.tile(part, (count, *(1,) * part.ndim)), slopes)
+    waiting = np.full(count, int(Mode.WAITING))
+    return _Carry(legs.reached, [none] * ORDERS, age, waiting, slopes)
+
+
+def _walk(
+    shared: tuple[Scene, Law, Int[Array, ""], Int[Array, ""]], legs: Legs, carry: _Carry
+) -> tuple[Steps, _Carry]:
+    """Walk a lane through its positions from `first` to `end`; these, scene and law are shared."""
+    scene, law, first, end = shared
     size = legs.clear.shape[0]
-    nothing: Steps = jax.tree.map(
+    steps: Steps = jax.tree.map(
         lambda part: jnp.full((size, *part.shape), jnp.nan),
         Steps(legs.reached, *(legs.sign,) * 4),
     )
-    steps = nothing._replace(mode=jnp.full(size, int(Mode.WAITING)))
-    waiting = jnp.asarray(int(Mode.WAITING))
+    steps = steps._replace(mode=jnp.full(size, int(Mode.WAITING)))
     begin = row_of(legs.clamp, legs.start)
-    none = jnp.zeros(4 + scene.rod.unknowns)
-    slopes = Slopes.none(len(none)) if law.branch and scene.rod.rough is not None else None
-    carry = _Carry(legs.reached, [none] * ORDERS, jnp.zeros((), dtype=int), waiting, slopes)
 
-    def advance(index: Array, state: tuple[_Carry, Steps]) -> tuple[_Carry, Steps]:
-        carry, row = _advance(scene, law, legs, begin, index, state[0])
-        return carry, with_row(state[1], row, index)
+    def advance(index: Array, state: tuple[Steps, _Carry]) -> tuple[Steps, _Carry]:
+        steps, carry = state
+        carry, row = _advance(scene, law, legs, begin, index, carry)
+        return with_row(steps, row, index), carry
 
-    walked: tuple[_Carry, Steps] = lax.fori_loop(0, count, advance, (carry, steps))
-    return walked[1]
+    walked: tuple[Steps, _Carry] = lax.fori_loop(first, end, advance, (steps, carry))
+    return walked
 
 
 _trails = lanes(blocks=1, alone=SINGLE, walks=True)(_walk)
@@ -242,7 +273,7 @@ def _advance(
         jax.tree.map(
             partial(jnp.where, legs.fanned), begin, row_of(legs.clamp, jnp.maximum(index - k, 0))
         )
-        for k in (1, 2, 3)
+        for k in range(1, _BACK + 1)
     ]
     side = before.state.point - come_from[0].point
     guess = law.begun(scene, guess, before, come_from[0], clamp)

@@ -214,7 +214,7 @@ def deepest(scene: Scene, state: State, clamp: Clamp, law: Law) -> Deepest:
     return Deepest(everywhere[rows, place], -found[rows, place] / steepness)
 
 
-@lanes(width=16, blocks=_AT_ONCE // 16)
+@lanes(width=16, blocks=_AT_ONCE // 16, alone=64)
 def _fine_line(
     scene: Scene, state: State, clamp: Clamp, law: Law
 ) -> tuple[Float[Array, "n 3"], Float[Array, "n"], Scalar]:

@@ -15,7 +15,7 @@ from jax import Array
 from jaxtyping import Bool, Float, Int
 
 from vibrissa.contact import Law, Reached, Scene, State, Touching, touching
-from vibrissa.forward.march import Steps, entering, march
+from vibrissa.forward.march import SINGLE, Steps, entering, march
 from vibrissa.forward.path import Stretch, chosen, either
 from vibrissa.forward.solve import SHARP, newton
 from vibrissa.geometry.rotation import lengths
@@ -137,7 +137,7 @@ class _Crossing(NamedTuple):
     residual: Scalar
 
 
-@lanes(walks=True)
+@lanes(alone=SINGLE, walks=True)
 def _crossing(
     shared: tuple[Scene, Law],
     way: Stretch,

@@ -76,6 +76,8 @@ the contact it doubles, along a parabola it quadruples.
 _ROUNDING = 1e-9
 _AT_ONCE = 512
 """Rods that `deepest` handles at a time: their points take 10 MB."""
+_SELDOM = 64
+"""Up to so many, one after another take less time than lanes take to compile."""
 
 
 def assessment(
@@ -214,7 +216,7 @@ def deepest(scene: Scene, state: State, clamp: Clamp, law: Law) -> Deepest:
     return Deepest(everywhere[rows, place], -found[rows, place] / steepness)
 
 
-@lanes(width=16, blocks=_AT_ONCE // 16, alone=64)
+@lanes(width=16, blocks=_AT_ONCE // 16, alone=_SELDOM)
 def _fine_line(
     scene: Scene, state: State, clamp: Clamp, law: Law
 ) -> tuple[Float[Array, "n 3"], Float[Array, "n"], Scalar]:

@@ -311,10 +311,9 @@ class Branch(Way):
         here, step = start, _FIRST_STEP
         for _ in range(_MOST_STEPS):
             if step < _SHORTEST_STEP:
-                beyond = self._beyond(here)
+                beyond = self._beyond(here, here, happened)
                 if beyond is None:
                     return self._snapped(here, happened)
-                self._note(happened, self._changes(here, beyond, corner=here))
                 here, step = beyond, _FIRST_STEP
             following, fold = self._ahead_of_a_fold(here, self._along(here, step))
             if following is not None and following.fraction >= 1:
@@ -342,7 +341,7 @@ class Branch(Way):
             if here.fraction >= 1:
                 return End("arrived", here)
             if fold is not None:
-                beyond = self._beyond(fold)
+                beyond = self._beyond(here, fold, happened)
                 if beyond is None:
                     return self._snapped(fold, happened)
                 here = beyond
@@ -394,16 +393,18 @@ class Branch(Way):
         between = y + (beyond - y) * (1 - y[-1]) / (beyond[-1] - y[-1])
         return self._at_fraction(between, 1.0, here)
 
-    def _beyond(self, here: Place) -> Place | None:
-        """Past a corner of the branch, where the phases meet or the object's curvature jumps: the
-        nearby equilibrium a little further on, if there is one.
+    def _beyond(self, here: Place, end: Place, happened: list[Happened]) -> Place | None:
+        """Past a corner of the branch, where the phases meet or the object's curvature jumps, or a
+        fold of less than a snap: the nearby equilibrium a little further on, if there is one.
+        What changes up to there, after `here`, does so at the end.
         """
-        y = _of(here)
+        y = _of(end)
         for ahead in _LOOKS_AHEAD:
-            there = self._at_fraction(y, min(here.fraction + ahead, 1.0))
+            there = self._at_fraction(y, min(end.fraction + ahead, 1.0))
             if there is None or there.reached.state.force < 0:
                 continue
             if np.abs((_of(there) - y) * self._weights).max() < _NEAR:
+                self._note(happened, self._changes(here, there, corner=end))
                 return there
         return None
 

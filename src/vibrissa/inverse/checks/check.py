@@ -30,8 +30,8 @@ def check_setup(found: Reconstruction) -> SetupCheck:
     Returns
     -------
     SetupCheck
-        Empty if noise or time are unknown, too little of the sweep is in contact, or the rod is not
-        uniform, straight, unloaded and rigidly held.
+        Empty if noise or time are unknown or too little of the sweep is in contact; with a `note`
+        alone for a rod with loads or a very thin tip.
 
     Notes
     -----

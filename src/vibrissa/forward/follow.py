@@ -18,7 +18,7 @@ from vibrissa.forward.events import EventKind
 from vibrissa.forward.locate import Place
 from vibrissa.forward.march import Mode
 from vibrissa.forward.path import Stretch, chosen
-from vibrissa.forward.search import ENERGY_MARGIN, Settled, stable_equilibria
+from vibrissa.forward.search import ENERGY_MARGIN, Settled, lowest_equilibrium
 from vibrissa.forward.ways import NO_FORCE, Branch, End, Happened, LostError, Rubbing
 from vibrissa.mechanics.model import Clamp
 
@@ -142,8 +142,8 @@ class _Follower:
     def _found(self, fraction: float, energy: float, near: State | None) -> Settled | None:
         """The stable frictionless equilibrium of least energy, if that energy is below `energy`."""
         clamp = self._stretch.clamps(np.array([fraction]))
-        found = stable_equilibria(self._scene, clamp, near)
-        return found[0] if found and found[0].energy < energy else None
+        found = lowest_equilibrium(self._scene, clamp, near)
+        return found if found is not None and found.energy < energy else None
 
     def _settled(self, fraction: float, energy: float, near: State | None) -> Place | None:
         found = self._found(fraction, energy, near)

@@ -174,7 +174,9 @@ def _kernel(count: int, n: int) -> tuple[Lanes[Any, Any], int]:
 
 
 def _window(legs: Legs, first: int, end: int, room: int) -> Legs:
-    """Legs with the positions from `first` to `end`, padded to a number."""
+    """Legs with the positions from `first` to `end`, padded to a number; a start before them is
+    negative.
+    """
 
     def padded(rows: np.ndarray) -> np.ndarray:
         whole = np.zeros((len(rows), room, *rows.shape[2:]), rows.dtype)
@@ -240,7 +242,8 @@ def _walk(
         Steps(legs.reached, *(legs.sign,) * 4),
     )
     steps = steps._replace(mode=jnp.full(size, int(Mode.WAITING)))
-    begin = row_of(legs.clamp, legs.start)
+    # Looked at by lanes that are fanned out; these enter in the same call.
+    begin = row_of(legs.clamp, jnp.maximum(legs.start, 0))
 
     def advance(index: Array, state: tuple[Steps, _Carry]) -> tuple[Steps, _Carry]:
         steps, carry = state

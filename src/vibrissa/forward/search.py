@@ -26,6 +26,7 @@ from vibrissa.forward.assess import (
 from vibrissa.forward.march import from_seeds
 from vibrissa.forward.path import chosen
 from vibrissa.forward.solve import SHARP, solved
+from vibrissa.geometry.rotation import lengths
 from vibrissa.mechanics.model import Clamp
 from vibrissa.numerics.lanes import AnyArray, lanes
 from vibrissa.surfaces import Offset
@@ -109,19 +110,18 @@ class Solutions(NamedTuple):
     """Before the last step."""
 
 
-def stable_equilibria(scene: Scene, clamp: Clamp, near: State | None) -> list[Settled]:
-    """Admissible stable equilibria found at a clamp pose, lowest energy first; where there are
-    none, the one that enters the object least.
+def lowest_equilibrium(scene: Scene, clamp: Clamp, near: State | None) -> Settled | None:
+    """The admissible stable equilibrium of least energy found at a clamp pose; where none is
+    admissible, the one that enters the object least.
 
-    Among equal energies, as for a rod that may bend to any side, the equilibrium nearest to the
-    first of the states `near` comes first.
+    Among equal energies, as for a rod that may bend to any side, it is the one nearest to the first
+    of the states `near` (k, …).
 
     Newton's method starts, with four magnitudes of the force, where rays from the clamp meet the
     object within the rod's length; where the free rod lies inside it, and a little to the side;
-    around the first contact `near` which one is expected; and from each of those states.
+    around the contact of the first state `near`; and from each of those states.
     """
-    expected = [] if near is None else [near.point[0]]
-    seeds = seeds_around(scene, clamp, expected, FORCES)
+    seeds = seeds_around(scene, clamp, [] if near is None else [near.point[0]], FORCES)
     seeds = eased(scene, clamp, seeds if near is None else joined(seeds, near))
     # In closed form choosing takes longer than it saves.
     sparing = scene.rod.rough is not None
@@ -129,7 +129,7 @@ def stable_equilibria(scene: Scene, clamp: Clamp, near: State | None) -> list[Se
     found = chosen(found, found.determinant < 0)
     count = len(found.residual)
     if not count:
-        return []
+        return None
     values, _ = assessed(scene, FRICTIONLESS, found.state, _repeated(clamp, count))
     sound = (values.residual < DEPTH_TOLERANCE) & (values.arc_length < 1 + DEPTH_TOLERANCE)
     good = sound & (values.depth < DEPTH_TOLERANCE)
@@ -138,23 +138,15 @@ def stable_equilibria(scene: Scene, clamp: Clamp, near: State | None) -> list[Se
         # that; its assessment says so.
         caught = sound & (values.depth < _CAUGHT)
         good = caught & (values.depth == values.depth[caught].min(initial=np.inf))
-    rows = np.flatnonzero(good)
-    there = found.state.point[rows]
-    away = np.linalg.norm(there - expected, axis=1) if expected else np.zeros(len(rows))
-    energy = values.potential[rows]
-    least = energy.min(initial=np.inf)
-    order = np.lexsort((away, np.where(energy < least + ENERGY_MARGIN, least, energy)))
-    alike = Clamp(*(np.broadcast_to(part, (len(rows), 3)) for part in clamp))
-    neutrals = neutral(scene, alike, values.direction[rows])
-    return [
-        Settled(
-            chosen(found.state, row),
-            chosen(values, row),
-            float(found.determinant[row]),
-            bool(neutrals[at]),
-        )
-        for at, row in zip(order, rows[order], strict=True)
-    ]
+    if not good.any():
+        return None
+    low = good & (values.potential < values.potential[good].min() + ENERGY_MARGIN)
+    away = np.zeros(count) if near is None else lengths(found.state.point - near.point[0])
+    row = int(np.argmin(np.where(low, away, np.inf)))
+    alone = Clamp(*(part[None] for part in clamp))
+    sideways = bool(neutral(scene, alone, values.direction[row][None])[0])
+    state, at = chosen((found.state, values), row)
+    return Settled(state, at, float(found.determinant[row]), sideways)
 
 
 def caught(scene: Scene, clamps: Clamp) -> list[tuple[Assessment, Float[np.ndarray, "3"]] | None]:

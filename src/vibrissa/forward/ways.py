@@ -359,7 +359,7 @@ class Branch(Way):
         return End("snapped", at)
 
     def _note(self, happened: list[Happened], changes: list[Happened] | None) -> None:
-        """Add changes, except what undoes another at the same place."""
+        """Add changes, except that losing and regaining lateral stability at one place is none."""
         for change in changes or []:
             undone = [
                 row

@@ -143,18 +143,24 @@ def march(scene: Scene, law: Law, legs: Legs) -> Steps:
     """Walk k lanes through all of their n positions: legs and steps (k, n, …), in model units."""
     count, n = legs.clear.shape
     walk, room = _kernel(count, n)
-    waiting, nothing = np.full((count, n), int(Mode.WAITING)), np.full((count, n), np.nan)
-    steps = Steps(nowhere(scene, law, count, n), waiting, *(nothing.copy() for _ in range(3)))
     carry, at = _before(scene, law, legs), int(legs.start.min(initial=n))
+    parts = [_waiting(scene, law, count, at)] if at else []
     while at < n:
         first = max(0, at - _BACK)
         end = min(first + room, n)
         shared = scene, law, np.asarray(at - first), np.asarray(end - first)
-        part, carry = walk(shared, _window(legs, first, end, room), carry)
-        for whole, own in zip(jax.tree.leaves(steps), jax.tree.leaves(part), strict=True):
-            whole[:, at:end] = own[:, at - first : end - first]
+        steps, carry = walk(shared, _window(legs, first, end, room), carry)
+        parts.append(chosen(steps, np.s_[:, at - first : end - first]))
         at = end
-    return steps
+    if len(parts) == 1:  # as for most trails: nothing to copy
+        return parts[0]
+    return jax.tree.map(lambda *rows: np.concatenate(rows, axis=1), *parts)
+
+
+def _waiting(scene: Scene, law: Law, *shape: int) -> Steps:
+    nothing = np.full(shape, np.nan)
+    mode = np.full(shape, int(Mode.WAITING))
+    return Steps(nowhere(scene, law, *shape), mode, nothing, nothing, nothing)
 
 
 def march_ahead(scene: Scene, law: Law, clamps: Clamp) -> None:

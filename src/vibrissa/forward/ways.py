@@ -105,8 +105,11 @@ shortest is what rounding leaves at a fold.
 _MOST_STEPS = 600
 _BIFURCATION_STEP = 2e-5
 """[L] down to which a step across a change of the determinant's sign is refined."""
-_LATERAL = {EventKind.LATERAL_INSTABILITY, EventKind.LATERAL_RECOVERY}
-_CHANGES = {EventKind.TIP_TO_TANGENTIAL, EventKind.TANGENTIAL_TO_TIP} | _LATERAL
+_OPPOSITES = (
+    {EventKind.TIP_TO_TANGENTIAL, EventKind.TANGENTIAL_TO_TIP},
+    {EventKind.LATERAL_INSTABILITY, EventKind.LATERAL_RECOVERY},
+)
+_CHANGES = set[EventKind]().union(*_OPPOSITES)
 """Of a contact that goes on."""
 _LEAPS = (0.02, 0.05, 0.1, 0.2, 0.4)
 """How far [L] along the tangent at the end of a branch an equilibrium is searched for."""
@@ -359,12 +362,12 @@ class Branch(Way):
         return End("snapped", at)
 
     def _note(self, happened: list[Happened], changes: list[Happened] | None) -> None:
-        """Add changes, except that losing and regaining lateral stability at one place is none."""
+        """Add changes, except that a change and its opposite at one place are none."""
         for change in changes or []:
             undone = [
                 row
                 for row, one in enumerate(happened)
-                if {one[0], change[0]} == _LATERAL and not self._apart(one, change)
+                if {one[0], change[0]} in _OPPOSITES and not self._apart(one, change)
             ]
             if undone:
                 del happened[undone[-1]]

@@ -392,9 +392,17 @@ class Branch(Way):
 
     def _arrival(self, here: Place, following: Place) -> Place | None:
         """The place at the end of the stretch, between two others."""
-        y, beyond = _of(here), _of(following)
-        between = y + (beyond - y) * (1 - y[-1]) / (beyond[-1] - y[-1])
-        return self._at_fraction(between, 1.0, here)
+        # On a cubic: right at a bifurcation, where the Jacobian is singular, no step improves it.
+        y, length = _of(here), self._length(here, following)
+        way = _of(following) - y
+        begin, end = (length * at.onward / self._weights - way for at in (here, following))
+
+        def between(share: float) -> Float[np.ndarray, "..."]:
+            rest = 1 - share
+            return np.asarray(y + share * way + share * rest * (rest * begin - share * end))
+
+        share = scipy.optimize.brentq(lambda share: between(share)[-1] - 1, 0.0, 1.0)
+        return self._at_fraction(between(share), 1.0, here)
 
     def _beyond(self, here: Place, end: Place, happened: list[Happened]) -> Place | None:
         """Past a corner of the branch, where the phases meet or the object's curvature jumps, or a

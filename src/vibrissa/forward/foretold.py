@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jaxtyping import Bool, Float
 
@@ -59,14 +60,14 @@ class Slopes(NamedTuple):
 
     differences: Differences
     determinant: Scalar
-    serve: Bool[Array, ""]
+    serve: Bool[Any, ""]
     """Whether they foretold the last of them well."""
 
     @classmethod
     def none(cls, unknowns: int) -> "Slopes":
         """Before any."""
-        blank = jnp.zeros((unknowns, unknowns))
-        return cls([blank] * _KNOWN, jnp.full((), jnp.nan), jnp.zeros((), dtype=bool))
+        blank = np.zeros((unknowns, unknowns))
+        return cls([blank] * _KNOWN, np.full((), np.nan), np.zeros((), dtype=bool))
 
     def _ahead(self, strides: Any) -> Jacobian:
         value, first, second = self.differences

@@ -119,9 +119,7 @@ class Lanes(Generic[Shared, Row]):
 
         found = in_threads(call, range(0, count, size))
         # Lanes stay innermost in memory: the results are views.
-        return jax.tree.map(
-            lambda *parts: np.moveaxis(np.concatenate(parts, axis=-1), -1, 0), *found
-        )
+        return jax.tree.map(lambda *parts: _lanes_first(np.concatenate(parts, axis=-1)), *found)
 
     def _called(self, shared: Shared, rows: Any, count: int) -> Row:
         shared, found = jax.tree.map(jnp.asarray, shared), list[Array]()
@@ -300,7 +298,15 @@ def _told(shared: Any, name: str) -> list[Any]:
     return [getattr(part, name) for part in parts if tells(part)]
 
 
+def _lanes_first(rows: np.ndarray) -> np.ndarray:
+    return rows.transpose(rows.ndim - 1, *range(rows.ndim - 1))
+
+
 def _filled(rows: AnyArray, size: int) -> AnyArray:
     """Rows padded to a number by repeating the last one."""
-    missing = size - len(rows)
-    return np.concatenate([rows, np.repeat(rows[-1:], missing, axis=0)]) if missing else rows
+    count = len(rows)
+    if count == size:
+        return rows
+    whole = np.empty((size, *rows.shape[1:]), rows.dtype)
+    whole[:count], whole[count:] = rows, rows[-1]
+    return whole

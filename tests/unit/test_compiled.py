@@ -36,7 +36,7 @@ def test_what_runs_for_long_is_compiled_well(
     seconds = [0]
     monkeypatch.setattr(kernel.time, "perf_counter", lambda: seconds[0])
 
-    def compiled(function: Any, *, alone: bool, quick: bool = False) -> Any:
+    def compiled(function: Any, *, quick: bool = False) -> Any:
         shapes: set[object] = set()
 
         def call(row: tuple[Any, ...]) -> Any:

@@ -82,7 +82,7 @@ def contacts_of(rod: Kirchhoff, scene: Scene, clamp: Clamp, starts: State) -> tu
     return scene, solutions(scene, clamp, FRICTIONLESS, state).state
 
 
-_partly = compiled(Kirchhoff.partly, alone=True, quick=True)
+_partly = compiled(Kirchhoff.partly, quick=True)
 
 
 def _tangential_seeds(scene: Scene, clamp: Clamp) -> State:

@@ -112,7 +112,7 @@ def _spatial(rod: Rod, nodes: Float[Any, "nodes"]) -> Kirchhoff:
 
 
 # XLA's options cannot be set within other compiled code.
-_compiled = compiled(_spatial, alone=True, quick=True)
+_compiled = compiled(_spatial, quick=True)
 
 
 def check_thick(rod: Rod) -> None:

@@ -101,21 +101,22 @@ def _processor() -> str:
 
 
 @cache
-def _options(*, alone: bool, quick: bool) -> dict[str, bool | int]:
+def _options(*, quick: bool) -> dict[str, bool | int]:
     """XLA's older loop emitter keeps Newton's method in one vectorised loop: twice as fast here
     (measured), and quicker to compile. Code in one piece takes less work to compile than in many,
     and LLVM's expensive passes add a quarter to the compilation without making the code faster.
 
-    Scalar code runs no slower with few optimisations. Without any it takes half the time to compile
-    and three times as long to run; of a block of 64 lanes jaxlib 0.10.2 then turns some into NaN.
+    Without optimisation scalar code takes half the time to compile and three times as long to run;
+    of a block of 64 lanes jaxlib 0.10.2 then turns some into NaN. With few, marches of spatial rods
+    take a quarter longer to run, and a tenth less to compile.
     """
     options: dict[str, bool | int] = {
         "xla_cpu_use_fusion_emitters": False,
         "xla_cpu_parallel_codegen_split_count": 1,
         "xla_llvm_disable_expensive_passes": True,
     }
-    if alone:
-        options["xla_backend_optimization_level"] = 0 if quick else 1
+    if quick:
+        options["xla_backend_optimization_level"] = 0
     try:
         jax.jit(lambda x: x + 1, compiler_options=options)(0.0)
     except Exception:  # a release of XLA without the options, whatever it raises
@@ -124,16 +125,16 @@ def _options(*, alone: bool, quick: bool) -> dict[str, bool | int]:
 
 
 def compiled(
-    function: Callable[Parameters, Result], *, alone: bool = False, quick: bool = False
+    function: Callable[Parameters, Result], *, quick: bool = False
 ) -> Callable[Parameters, Result]:
     """`jax.jit` with the options above, set up at the first call so that importing a module does
-    not start a backend; `alone` says that there are no lanes side by side, and `quick` that it
-    matters more how soon such code is at hand than how fast it is.
+    not start a backend; `quick` says of scalar code that it matters more how soon it is at hand
+    than how fast it is.
     """
 
     @lru_cache(maxsize=1)
     def build() -> Callable[Parameters, Result]:
-        return jax.jit(function, compiler_options=_options(alone=alone, quick=quick))
+        return jax.jit(function, compiler_options=_options(quick=quick))
 
     @wraps(function)
     def call(*arguments: Parameters.args, **named: Parameters.kwargs) -> Result:

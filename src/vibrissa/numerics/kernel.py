@@ -38,8 +38,8 @@ class Kernel(Generic[Result]):
 
     def __init__(self, function: Callable[..., Result], *, alone: bool) -> None:
         self._name = function.__name__
-        self._well = compiled(function, alone=alone)
-        self._quick = compiled(function, alone=True, quick=True) if alone else None
+        self._well = compiled(function)
+        self._quick = compiled(function, quick=True) if alone else None
         self._ran: dict[object, float] = {}
         """How much longer [s] quick code has run than it took to compile, for each structure of
         arguments.

@@ -3,7 +3,6 @@ two points, and move and scale with the object.
 """
 
 from collections.abc import Callable
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -110,7 +109,7 @@ def test_slope_one_and_flat_along_the_normal(
         assert np.linalg.eigvalsh(hessian).min() > -1e-6
 
 
-@partial(compiled, alone=True)
+@compiled
 def jets(surface: Surface, points: jax.Array) -> tuple[jax.Array, jax.Array]:
     gradient = jax.grad(surface.distance)
     return lax.map(gradient, points), lax.map(jax.jacfwd(gradient), points)

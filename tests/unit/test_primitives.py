@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Callable
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +18,7 @@ ALL = pytest.mark.parametrize("name", SOLIDS)
 POINTS = CENTER + np.random.default_rng(8).uniform(-1.0, 1.0, (4000, 3))
 
 
-@partial(compiled, alone=True)
+@compiled
 def derivatives(
     surface: surfaces.Surface, points: jax.Array
 ) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:

@@ -4,7 +4,6 @@ axes of symmetry.
 
 import re
 from collections.abc import Callable
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -34,7 +33,7 @@ SMOOTH = pytest.mark.parametrize("exponents", [pair for pair in EXPONENTS if max
 POINTS = CENTER + np.random.default_rng(2).normal(0, 0.4, (300, 3))
 
 
-@partial(compiled, alone=True)
+@compiled
 def derivatives(surface: surfaces.Surface, points: jax.Array) -> tuple[jax.Array, jax.Array]:
     gradient = jax.grad(surface.level)
     return lax.map(gradient, points), lax.map(jax.jacfwd(gradient), points)

@@ -206,6 +206,8 @@ class Kirchhoff(RodModel):
     """As in `RodModel`: at 0.01 the 95 % ellipsoids of contacts near a tip with a tenth of the
     clamp's radius hold 91 %, at 0.02 only 78 % (`tests/roundtrip/test_thin_tips.py`).
     """
+    lane_width: ClassVar[int] = 32
+    """Rods side by side: the stages of more would leave the core's nearest cache."""
     walk_width: ClassVar[int] = 1
     """The same for Newton's method, where each would wait for the slowest, and for derivatives:
     the six of a contact with respect to its wrench take 100 µs, and 290 in lanes.
@@ -255,13 +257,6 @@ class Kirchhoff(RodModel):
     def bulky(self) -> bool:
         """As in `vibrissa.numerics.lanes`: loads make twice as much code."""
         return self.loaded
-
-    @property
-    def lane_width(self) -> int:
-        """Rods side by side: the stages of more would leave the core's nearest cache. One under
-        loads: the shapes behind contacts take different numbers of steps, found by Newton's method.
-        """
-        return 1 if self.loaded else 32
 
     @property
     def loaded(self) -> bool:

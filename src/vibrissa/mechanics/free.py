@@ -48,9 +48,13 @@ def at_rest(rod: RodModel, clamps: Clamp) -> Resting:
     if not rod.loaded:
         return Resting(np.zeros((count, 0)), np.ones(count, dtype=bool))
     told = np.hstack(clamps[1:] if rod.alike_everywhere else clamps).round(_DIGITS)
-    _, first, own = np.unique(told, axis=0, return_index=True, return_inverse=True)
-    found: Any = _at_rest(rod, jax.tree.map(lambda part: part[first], clamps))
-    return Resting(*(part[own.ravel()] for part in found))
+    # Of neighbours that are alike only the first is compared with the others.
+    changes = np.ones(count, dtype=bool)
+    changes[1:] = np.any(told[1:] != told[:-1], axis=1)
+    begin = np.flatnonzero(changes)
+    _, first, own = np.unique(told[begin], axis=0, return_index=True, return_inverse=True)
+    found: Any = _at_rest(rod, jax.tree.map(lambda part: part[begin[first]], clamps))
+    return Resting(*(part[own.ravel()[np.cumsum(changes) - 1]] for part in found))
 
 
 @lanes(alone=FEW, by_call=True)

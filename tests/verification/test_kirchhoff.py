@@ -53,9 +53,9 @@ def test_the_uniform_rod_is_that_of_the_closed_form(scan: vb.Scan) -> None:
     """
     worst = []
     for steps in (8, 16, 32):
-        rod = rod_of(uniform, None, steps)
+        rod = jax.jit(rod_of, static_argnums=(0, 1, 2))(uniform, None, steps)
         found, exact = (
-            jax.vmap(model.contact, (0, 0, None))(
+            jax.jit(jax.vmap(model.contact, (0, 0, None)))(
                 scan.reactions.force[scan.in_contact],
                 scan.reactions.moment[scan.in_contact],
                 ORIGIN,
@@ -185,7 +185,8 @@ def test_rods_of_varying_section_and_rest_shape_are_those_of_an_independent_inte
 def test_steps_graded_as_the_radius_resolve_a_thin_tip() -> None:
     """A force at a tip as thin as a whisker's: the contact found from the wrench that it makes."""
     taper = 0.95
-    rod, fine = (Kirchhoff.tapered(taper, 0.3, steps) for steps in (24, 96))
+    made = jax.jit(Kirchhoff.tapered, static_argnums=2)
+    rod, fine = (made(taper, 0.3, steps) for steps in (24, 96))
     push = 0.8 * (1 - taper) ** 1.5 * jnp.array([0.9, 0.3, -0.3])
 
     def end(at: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -69,9 +69,10 @@ _LOWEST, _BETWEEN = 4, 33
 """How many lowest points are refined, and with how many points between their neighbours."""
 _APART = 1e-12
 """Distance [L] below which two points are one: a rod touching with its tip has no straight rest."""
-_LEAST_GROWTH, _MOST_GROWTH = 1.6, 5.0
+_LEAST_GROWTH, _MOST_GROWTH = 1.6, 7.0
 """Bounds on the growth of the level from the first point to the second: along a straight line from
-the contact it doubles, along a parabola it quadruples.
+the contact it doubles, along a parabola it quadruples, and by more where the bend soon grows; from
+eightfold on, the growth of s³, it would dip into the object first.
 """
 _ROUNDING = 1e-9
 _AT_ONCE = 512

@@ -351,8 +351,8 @@ def solutions(
     has a rougher one, that one's contacts from the seeds, and its own from those.
 
     Sparing, a quarter of the seeds are tried at first, half of them those that meet the conditions
-    best, and then more until each contact has been found twice: hardly any are left to be found
-    (I. J. Good, Biometrika 40 (1953) 237-264).
+    best, and then more until each stable contact has been found twice: hardly any are left to be
+    found (I. J. Good, Biometrika 40 (1953) 237-264).
     """
     rough = scene.rod.rough
     if rough is None:
@@ -384,28 +384,28 @@ def _distinct(
     portions: Sequence[Int[np.ndarray, "_"]] = (),
 ) -> Solutions:
     """The same for any Newton solver; portions of the seeds are tried in turn."""
-    first, *more = portions or [np.arange(len(seeds.force))]
-    found = _settled(newton, chosen(seeds, first))
-    kept, times = _different(found, clamp)
-    for portion in more:
-        if min(times, default=1) > 1:
-            break
-        found = jax.tree.map(_joined, found, _settled(newton, chosen(seeds, portion)))
-        kept, times = _different(found, clamp)
+    tried, kept = list[Solutions](), list[int]()
+    for portion in portions or [np.arange(len(seeds.force))]:
+        untried = [np.full(len(portion), value) for value in (np.nan, np.inf)]
+        tried.append(Solutions(chosen(seeds, portion), *untried))
+        for _ in range(_ROUNDS):
+            tried[-1] = _further(newton, tried[-1])
+            found: Solutions = jax.tree.map(lambda *parts: np.concatenate(parts), *tried)
+            kept, times = _different(found, clamp)
+            if portions and min(times, default=1) > 1:
+                return chosen(found, np.array(kept))
     single: Solutions = chosen(found, np.array(kept, dtype=int))
     return single
 
 
-def _settled(newton: Callable[[State], tuple[Solutions, Any]], seeds: State) -> Solutions:
-    """Where Newton's method leads; whatever has not converged gets as many steps again."""
-    count = len(seeds.force)
-    found = Solutions(seeds, np.full(count, np.nan), np.full(count, np.inf))
-    for _ in range(_ROUNDS):
-        left = np.flatnonzero(~(found.residual < _SETTLED))
-        if left.size:
-            again, _ = newton(chosen(found.state, left))
-            found = jax.tree.map(partial(_put, left), found, again)
-    return found
+def _further(newton: Callable[[State], tuple[Solutions, Any]], found: Solutions) -> Solutions:
+    """Where a round of Newton's method leads whatever has not converged."""
+    left = np.flatnonzero(~(found.residual < _SETTLED))
+    if not left.size:
+        return found
+    again, _ = newton(chosen(found.state, left))
+    further: Solutions = jax.tree.map(partial(_put, left), found, again)
+    return further
 
 
 def different(states: State) -> Int[np.ndarray, "j"]:
@@ -415,10 +415,12 @@ def different(states: State) -> Int[np.ndarray, "j"]:
 
 
 def _different(found: Solutions, clamp: Clamp) -> tuple[list[int], list[int]]:
-    """Rows of solutions of which no two are the same, and how often each was found."""
+    """Rows of solutions of which no two are the same, and how often each stable one was found."""
     near = np.linalg.norm(found.state.point - clamp.point, axis=1) < _REACH
     sound = (found.residual < _SETTLED) & (found.state.force > 0) & near
-    return _apart(found.state.flat_rows, np.flatnonzero(sound))
+    kept, times = _apart(found.state.flat_rows, np.flatnonzero(sound))
+    stable = found.determinant[kept] < 0
+    return kept, [time for time, holds in zip(times, stable, strict=True) if holds]
 
 
 def _apart(

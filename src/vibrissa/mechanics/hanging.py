@@ -77,14 +77,14 @@ class Share(Load):
 def balanced(left: Callable[[Array], Array], begin: Array) -> Array:
     """Unknowns that leave nothing, by Newton's method from given ones."""
 
-    def unfinished(state: tuple[Array, Array, Array, Scalar, Array]) -> Array:
-        *_, size, count = state
-        return (size > _SETTLED) & (count < _STEPS)
+    def unfinished(state: tuple[Array, Array, Array, Scalar, Scalar, Array]) -> Array:
+        *_, ahead, count = state
+        return (ahead > _SETTLED) & (count < _STEPS)
 
     def refine(
-        state: tuple[Array, Array, Array, Scalar, Array],
-    ) -> tuple[Array, Array, Array, Scalar, Array]:
-        x, before, fresh, last, count = state
+        state: tuple[Array, Array, Array, Scalar, Scalar, Array],
+    ) -> tuple[Array, Array, Array, Scalar, Scalar, Array]:
+        x, before, fresh, last, _, count = state
         asked = jnp.where(fresh, len(x), 0)
         slopes, (value, _) = by_differences(lambda x: (left(x), ()), x, count=asked)
         jacobian = jnp.where(fresh, slopes, before)
@@ -93,11 +93,15 @@ def balanced(left: Callable[[Array], Array], begin: Array) -> Array:
         share = jnp.minimum(1.0, _LONGEST_STEP / jnp.maximum(size, _TINY))
         # Slow steps are those past a kink, as where a contact moves onto the tip.
         fresh = (size > _NEAR) | (size > _SLOW * last)
-        return x - share * change, jacobian, fresh, size, count + 1
+        # With the same slopes each step is the same fraction of the one before; with new ones, at
+        # the first step, what is left is as its square.
+        ahead = jnp.where(fresh, size, size * size / last)
+        return x - share * change, jacobian, fresh, size, ahead, count + 1
 
     blank = (
         jnp.zeros((len(begin),) * 2),
         jnp.ones((), dtype=bool),
+        jnp.ones(()),
         jnp.asarray(jnp.inf),
         jnp.zeros((), dtype=int),
     )

@@ -69,12 +69,12 @@ Wrench = Float[Any, "6"]
 ACCURACY, _ORDER = 1e-10, 8
 STEPS = 12
 """Steps of the method of order 8 (`vibrissa.numerics.runge_kutta`) for an error of `ACCURACY` [L]:
-with them the uniform rod of the paper's case agrees with the closed form to 1e-10
-(`tests/verification/test_uniform_limit.py`).
+with them the uniform rod of the paper's case agrees with the closed form to 3e-12, which leaves
+room for rods that bend further (`tests/verification/test_uniform_limit.py`).
 """
 _ROUGHLY = 3
 """Steps that are one, of a method of order 5, where only derivatives for Newton's method are
-wanted: to three digits or more, so that a step of it gains as many.
+wanted, and the fewest of these: to three digits or more, so that a step of it gains as many.
 """
 _LARGEST_TURN = 1.5
 """Angle [rad] by which a rod may turn in one step; a row whose rod turned further says so by its
@@ -101,14 +101,16 @@ _traced_once = partial(jax.jit, inline=True)
 
 
 def steps_for(accuracy: float) -> int:
-    """Steps that leave errors of about this size [L]: they fall with the eighth power.
+    """Steps that leave errors of at most about this size [L], and as many as the rougher rod has at
+    least: errors fall with the eighth power.
 
     Raises
     ------
     ValueError
         If the accuracy is not a positive number.
     """
-    return math.ceil(STEPS * (ACCURACY / positive(accuracy, "accuracy")) ** (1 / _ORDER))
+    steps = STEPS * (ACCURACY / positive(accuracy, "accuracy")) ** (1 / _ORDER)
+    return max(_ROUGHLY, math.floor(steps))
 
 
 class Push(NamedTuple):
@@ -237,7 +239,8 @@ class Kirchhoff(RodModel):
             return Steps.of(*padded(nodes, local, count), scheme)
 
         count = len(nodes) - 1
-        few = np.linspace(0, count, math.ceil(count / _ROUGHLY) + 1).round().astype(int)
+        least = max(math.ceil(count / _ROUGHLY), _ROUGHLY)
+        few = np.linspace(0, count, least + 1).round().astype(int)
         steps, fewer = divided(nodes, ORDER_8, count), divided(nodes[few], ORDER_5, count)
         rod = cls(steps, load, compliance, roughly=fewer)
         return rod if load is not None else replace(rod, unloaded=rod.own_shape)

@@ -5,6 +5,7 @@ Kernels are kept in the user's cache folder, as the package keeps them: the proc
 tests compile each once, and the next run compiles what has changed.
 """
 
+import gc
 import os
 import re
 import sys
@@ -25,6 +26,10 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 # Two processes share the cores: a BLAS with threads of its own in each waits four times as long.
 # Taken up by the processes that pytest starts.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+# Most of what tests make lives on, as compiled code does: looking through it less often takes a
+# fiftieth less time.
+gc.set_threshold(200_000, 50, 100)
 
 # NumPy's `ArrayLike` says complex for "any number" and a protocol for "any sequence" that tuples do
 # not fulfil; read to the letter, (0.0, 0.0, 1.0) would be none. The shape checks look up

@@ -100,6 +100,15 @@ def test_scans_agree_in_every_field_and_event(
         np.testing.assert_allclose(ours.clamp, theirs.clamp, atol=CLOSE)
 
 
+def test_fewer_steps_leave_no_more_than_the_accuracy_asked_for(smooth: Both) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        by_spatial_rods(patch)
+        found = vb.scan(vb.Rod.unit(), BOWL, TRAILS, accuracy=1e-8)
+    errors = off(found, smooth[0])
+    assert {name: size for name, size in errors.items() if size > 1e-8} == {}
+    assert max(errors.values()) > CLOSE
+
+
 @pytest.mark.parametrize("friction", [0.0, 0.3])
 @pytest.mark.parametrize(
     "noise", [None, pytest.param(NOISE, marks=pytest.mark.slow)], ids=["exact", "noisy"]

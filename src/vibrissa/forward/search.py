@@ -5,6 +5,7 @@ rest after a snap, for trails that begin in contact, and for tips caught between
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import product
 from typing import Any, NamedTuple
 
 import jax
@@ -383,17 +384,17 @@ def _distinct(
     seeds: State,
     portions: Sequence[Int[np.ndarray, "_"]] = (),
 ) -> Solutions:
-    """The same for any Newton solver; portions of the seeds are tried in turn."""
-    tried, kept = list[Solutions](), list[int]()
-    for portion in portions or [np.arange(len(seeds.force))]:
-        untried = [np.full(len(portion), value) for value in (np.nan, np.inf)]
-        tried.append(Solutions(chosen(seeds, portion), *untried))
-        for _ in range(_ROUNDS):
-            tried[-1] = _further(newton, tried[-1])
-            found: Solutions = jax.tree.map(lambda *parts: np.concatenate(parts), *tried)
-            kept, times = _different(found, clamp)
-            if portions and min(times, default=1) > 1:
-                return chosen(found, np.array(kept))
+    """The same for any Newton solver; portions of the seeds are tried in turn, in rounds."""
+    tried = list[Solutions]()
+    for portion, rounds in product(portions or [np.arange(len(seeds.force))], range(_ROUNDS)):
+        if rounds == 0:
+            untried = [np.full(len(portion), value) for value in (np.nan, np.inf)]
+            tried.append(Solutions(chosen(seeds, portion), *untried))
+        tried[-1] = _further(newton, tried[-1])
+        found = jax.tree.map(lambda *parts: np.concatenate(parts), *tried)
+        kept, times = _different(found, clamp)
+        if portions and min(times, default=1) > 1:
+            break
     single: Solutions = chosen(found, np.array(kept, dtype=int))
     return single
 

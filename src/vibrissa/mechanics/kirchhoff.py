@@ -101,8 +101,8 @@ _traced_once = partial(jax.jit, inline=True)
 
 
 def steps_for(accuracy: float) -> int:
-    """Steps that leave errors of at most about this size [L], and as many as the rougher rod has at
-    least: errors fall with the eighth power.
+    """Steps that leave errors of this size [L] or less, which fall with the eighth power; at least
+    as many as a rougher rod has.
 
     Raises
     ------

@@ -101,6 +101,7 @@ def test_scans_agree_in_every_field_and_event(
 
 
 def test_fewer_steps_leave_no_more_than_the_accuracy_asked_for(smooth: Both) -> None:
+    """At 1e-8, in every field; and they are fewer, as they leave more than by default."""
     with pytest.MonkeyPatch.context() as patch:
         by_spatial_rods(patch)
         found = vb.scan(vb.Rod.unit(), BOWL, TRAILS, accuracy=1e-8)

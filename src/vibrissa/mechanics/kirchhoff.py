@@ -239,8 +239,8 @@ class Kirchhoff(RodModel):
             return Steps.of(*padded(nodes, local, count), scheme)
 
         count = len(nodes) - 1
-        least = max(math.ceil(count / _ROUGHLY), _ROUGHLY)
-        few = np.linspace(0, count, least + 1).round().astype(int)
+        fewer_steps = max(math.ceil(count / _ROUGHLY), _ROUGHLY)
+        few = np.linspace(0, count, fewer_steps + 1).round().astype(int)
         steps, fewer = divided(nodes, ORDER_8, count), divided(nodes[few], ORDER_5, count)
         rod = cls(steps, load, compliance, roughly=fewer)
         return rod if load is not None else replace(rod, unloaded=rod.own_shape)

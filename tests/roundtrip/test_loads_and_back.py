@@ -2,6 +2,8 @@
 for each orientation of the clamp, or for each pose where the loads depend on the place.
 """
 
+import math
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -70,3 +72,29 @@ def test_contacts_of_a_hanging_rope(tilt: float, y: float, start: float, stop: f
     weight = np.linalg.norm(scan.reactions.force[0])
     share = np.linalg.norm(scan.contact_force[touching], axis=1).min() / weight
     assert share < 5e-6 or (scan.kind == vb.ContactKind.TIP).sum() > 5
+
+
+def test_light_touches_of_a_rod_far_bent_by_its_weight() -> None:
+    """With the loads of the free rod taken off, its contact was not found, or elsewhere."""
+    wire = vb.Rod.tapered(
+        length=LENGTH, base_radius=0.1e-3, tip_radius=0.04e-3, youngs_modulus=72e9, density=7850
+    )
+    down = np.array([-1, -0.2, 0.6]) / np.linalg.norm([-1, -0.2, 0.6])
+    pull = 20 * wire.force_scale / (7850 * math.pi * 1e-8 * LENGTH)
+    rod = wire.curved(vb.RestShape.arc(1.5 * LENGTH, roll=2.0)).loaded(
+        vb.Loads(gravity=tuple(pull * down))
+    )
+    x = np.linspace(-0.6, 0.6, 101) * LENGTH
+    first = np.argmax(vb.scan(rod, BALL, _along_x(x)).in_contact)
+    scan = vb.scan(rod, BALL, _along_x(np.linspace(x[first - 1], x[first], 40)))
+    assert (scan.status == vb.Status.OK).all()
+    share = np.linalg.norm(scan.contact_force[scan.in_contact], axis=1) / wire.force_scale / 20
+    assert len(share) > 10 and share.min() < 5e-5 and share.max() < 1e-3
+    found = vb.reconstruct(rod, scan.reactions)
+    assert (found.status == vb.Status.OK).all()
+    np.testing.assert_allclose(found.point, scan.point, rtol=0, atol=1e-8 * LENGTH)
+
+
+def _along_x(x: np.ndarray) -> vb.Trail:
+    position = np.column_stack([x, 0 * x, 0 * x])
+    return vb.Trail(position, np.broadcast_to([0.0, 0.0, 0.0, 1.0], (len(x), 4)))

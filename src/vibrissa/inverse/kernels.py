@@ -17,7 +17,7 @@ from vibrissa.inverse.arrays import Flag, Scalar, Spread, Vector, Wrench
 from vibrissa.inverse.inverse import single_contact, towards
 from vibrissa.inverse.parameters import Rig, changes
 from vibrissa.mechanics.elastica import Elastica
-from vibrissa.mechanics.model import Clamp, Contact, Free, Resting, RodModel
+from vibrissa.mechanics.model import Clamp, Contact, Resting, RodModel
 from vibrissa.numerics.lanes import FEW, AnyArray, lanes
 from vibrissa.numerics.linear import cholesky, solve_3x3, solve_lower
 from vibrissa.numerics.rotation import cross_matrix, first_axis, rotation_matrix, third_axis
@@ -139,13 +139,11 @@ class _Reader(NamedTuple):
     """What the loads contribute to the reactions (6,), if there are any."""
     which: Int[Any, ""] | int = 0
     """Which of several contacts is meant, in order along the rod."""
-    free: Free | None = None
-    """The rod without contact."""
 
     def contact(self, wrench: Wrench) -> Contact:
         """The contact that explains a wrench of its own."""
         whole = wrench if self.load is None else wrench + self.load
-        return self.rod.contact(whole[:3], whole[3:], self.clamp, self.which, self.free)
+        return self.rod.contact(whole[:3], whole[3:], self.clamp, self.which)
 
 
 class _Held(NamedTuple):
@@ -278,8 +276,7 @@ def weak_contacts(setting: Setting, sample: Sample, likely: Likely) -> Errors:
     J. K. Uhlmann, Proc. IEEE 92 (2004) 401-422): if the force is only a few deviations, or the rod
     is thin at the contact, that is far from linear in them.
     """
-    free, clamp = free_of(setting, sample), _clamp_of(setting, sample)
-    reader = _Reader(setting.rod, clamp, likely.load, likely.which, free)
+    reader = _Reader(setting.rod, _clamp_of(setting, sample), likely.load, likely.which)
     covariance = jnp.asarray(sample.covariance)
     # In clamp axes, so that the points turn with the clamp.
     both = jnp.kron(jnp.eye(2), rotation_matrix(sample.orientation))
@@ -322,34 +319,29 @@ def _held(setting: Setting, sample: Sample) -> _Held:
     """Of several contacts that may be the true one, the first."""
     wrench = jnp.concatenate([sample.force / setting.force, sample.moment / setting.moment])
     rod, clamp = setting.rod, _clamp_of(setting, sample)
-    free = free_of(setting, sample)
+    free = rod.free(clamp, sample.resting)
     tip = free.at(jnp.ones(()))[0] - clamp.point
     which, several = jnp.zeros((), dtype=int), jnp.zeros((), dtype=bool)
-    found = candidates_at(setting, sample, free)
+    found = candidates_at(setting, sample)
     if rod.candidates > 1:
         fits = _explain(setting, sample, found)
         which, several = jnp.argmax(fits), jnp.sum(fits) > 1
     measured = jax.tree.map(lambda part: part[which], found)
     if not rod.loaded:
-        reader = _Reader(rod, clamp, None, which, free)
+        reader = _Reader(rod, clamp, None, which)
         return _Held(reader, wrench, wrench, tip, measured, several)
     load = measured.load
     load = jnp.where(jnp.all(jnp.isfinite(load)), load, free.reactions)
-    apart, reader = (wrench - load, wrench - free.reactions), _Reader(rod, clamp, load, which, free)
+    apart, reader = (wrench - load, wrench - free.reactions), _Reader(rod, clamp, load, which)
     return _Held(reader, *apart, tip, measured, several, free.sound)
 
 
-def free_of(setting: Setting, sample: Sample) -> Free:
-    """The rod without contact."""
-    return setting.rod.free(_clamp_of(setting, sample), sample.resting)
-
-
-def candidates_at(setting: Setting, sample: Sample, free: Free) -> Contact:
+def candidates_at(setting: Setting, sample: Sample) -> Contact:
     """All contacts (k,) at which the reactions leave no moment in the rod, in order along it; an
     arc length of NaN if there are fewer.
     """
     wrench = jnp.concatenate([sample.force / setting.force, sample.moment / setting.moment])
-    return setting.rod.contacts(wrench[:3], wrench[3:], _clamp_of(setting, sample), free)
+    return setting.rod.contacts(wrench[:3], wrench[3:], _clamp_of(setting, sample))
 
 
 def _clamp_of(setting: Setting, sample: Sample) -> Clamp:
@@ -388,7 +380,7 @@ def explaining(
 @lanes(alone=FEW, by_call=True)
 def candidates_of(setting: Setting, sample: Sample) -> tuple[Contact, Bool[Array, "k"]]:
     """All contacts (k,) with no moment in the rod, and which of them may be the true one."""
-    found = candidates_at(setting, sample, free_of(setting, sample))
+    found = candidates_at(setting, sample)
     return found, _explain(setting, sample, found)
 
 
@@ -397,10 +389,9 @@ def deviations_of_candidates(setting: Setting, sample: Sample) -> Float[Array, "
     """Standard deviations of the arc lengths (k,) of `candidates_of` [L], for known noise."""
     wrench = jnp.concatenate([sample.force / setting.force, sample.moment / setting.moment])
     clamp, covariance = _clamp_of(setting, sample), jnp.asarray(sample.covariance)
-    free = free_of(setting, sample)
 
     def arc_lengths(wrench: Wrench) -> Float[Array, "k"]:
-        found: Array = setting.rod.contacts(wrench[:3], wrench[3:], clamp, free).arc_length
+        found: Array = setting.rod.contacts(wrench[:3], wrench[3:], clamp).arc_length
         return found
 
     change = _CHANGE * jnp.max(jnp.abs(wrench))

@@ -29,7 +29,6 @@ from vibrissa.mechanics.model import (
     Bent,
     Clamp,
     Contact,
-    Free,
     Own,
     Resting,
     RodModel,
@@ -223,7 +222,6 @@ class Elastica(RodModel):
         moment: Vector,
         clamp: Clamp,
         which: Int[Any, ""] | int = 0,  # noqa: ARG002
-        free: Free | None = None,  # noqa: ARG002
     ) -> Contact:
         """As in `RodModel`: r = (m0 × F)/f² − I₁ d with F = −f0 = f d (paper, eqs. 14-16).
 

@@ -5,7 +5,7 @@ whether the rod stands.
 from abc import abstractmethod
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -21,10 +21,11 @@ from vibrissa.numerics.vectors import dot, joined
 Scalar = Float[Any, ""]
 Vector = Float[Any, "3"]
 Wrench = Float[Any, "6"]
+Told = TypeVar("Told")
 
-_STEPS, _NEAR, _SETTLED, _FOUND = 25, 1e-3, 1e-13, 1e-8
+_STEPS, _NEAR, _ROUNDED, _SETTLED, _FOUND = 25, 1e-3, 1e-10, 1e-13, 1e-8
 """Most Newton steps to the loads' resultants, and sizes [EI/L²] of a step: from which on slopes are
-kept, that ends them, and up to which resultants count as found.
+kept, of rounding errors, that ends them, and up to which resultants count as found.
 """
 _SLOW = 0.1
 """Fraction of the last step from which on slopes were not worth keeping."""
@@ -74,39 +75,69 @@ class Share(Load):
         return self.share * self.whole.per_length(s, position, tangent, section)
 
 
-def balanced(left: Callable[[Array], Array], begin: Array) -> Array:
-    """Unknowns that leave nothing, by Newton's method from given ones."""
+def balanced(
+    left: Callable[[Array], tuple[Array, tuple[Array, Told]]], begin: Array
+) -> tuple[Array, Told]:
+    """Unknowns that leave nothing, by Newton's method from given ones. What is left comes with its
+    slopes, as far as they are known, and with whatever else is told there: where these slopes do
+    not do, differences are taken.
+    """
 
-    def unfinished(state: tuple[Array, Array, Array, Scalar, Scalar, Array]) -> Array:
-        *_, ahead, count = state
-        return (ahead > _SETTLED) & (count < _STEPS)
+    def unfinished(at: _Balance) -> Array:
+        return ~at.settled & (at.steps < _STEPS)
 
-    def refine(
-        state: tuple[Array, Array, Array, Scalar, Scalar, Array],
-    ) -> tuple[Array, Array, Array, Scalar, Scalar, Array]:
-        x, before, fresh, last, _, count = state
-        asked = jnp.where(fresh, len(x), 0)
-        slopes, (value, _) = by_differences(lambda x: (left(x), ()), x, count=asked)
-        jacobian = jnp.where(fresh, slopes, before)
-        change, _ = solve_pivoted(jacobian, value)
-        size = jnp.max(jnp.abs(change))
+    def refine(at: _Balance) -> _Balance:
+        asked = jnp.where(at.fresh, len(at.x), 0)
+        taken, (value, (known, told)) = by_differences(left, at.x, count=asked)
+        slopes = jnp.where(at.fresh, taken, jnp.where(at.differs, at.slopes, known))
+        change, _ = solve_pivoted(slopes, value)
+        size, differs = jnp.max(jnp.abs(change)), at.differs | at.fresh
         share = jnp.minimum(1.0, _LONGEST_STEP / jnp.maximum(size, _TINY))
-        # Slow steps are those past a kink, as where a contact moves onto the tip.
-        fresh = (size > _NEAR) | (size > _SLOW * last)
-        # With the same slopes each step is the same fraction of the one before; with new ones, at
-        # the first step, what is left is as its square.
-        ahead = jnp.where(fresh, size, size * size / last)
-        return x - share * change, jacobian, fresh, size, ahead, count + 1
+        # Slow steps are those past a kink, as where a contact moves onto the tip; tiny ones that do
+        # not become smaller are rounding errors.
+        slow, tiny = size > _SLOW * at.size, size < _ROUNDED
+        return _Balance(
+            x=at.x - share * change,
+            slopes=slopes,
+            fresh=slow | (differs & (size > _NEAR)),
+            differs=differs,
+            size=size,
+            settled=(size <= _SETTLED) | (slow & tiny) | jnp.isnan(size),
+            steps=at.steps + 1,
+            told=told,
+        )
 
-    blank = (
-        jnp.zeros((len(begin),) * 2),
-        jnp.ones((), dtype=bool),
-        jnp.ones(()),
-        jnp.asarray(jnp.inf),
-        jnp.zeros((), dtype=int),
+    _, (_, shapes) = jax.eval_shape(left, begin)
+    none = jnp.zeros((), dtype=bool)
+    start = _Balance(
+        x=begin,
+        slopes=jnp.zeros((len(begin),) * 2),
+        fresh=none,
+        differs=none,
+        size=jnp.asarray(jnp.inf),
+        settled=none,
+        steps=jnp.zeros((), dtype=int),
+        told=jax.tree.map(lambda part: jnp.zeros(part.shape, part.dtype), shapes),
     )
-    found, *_ = lax.while_loop(unfinished, refine, (begin, *blank))
-    return found
+    last: _Balance = lax.while_loop(unfinished, refine, start)
+    return last.x, last.told
+
+
+class _Balance(NamedTuple):
+    """Newton's method on its way."""
+
+    x: Array
+    slopes: Array
+    fresh: Bool[Array, ""]
+    """Whether slopes are to be taken by differences."""
+    differs: Bool[Array, ""]
+    """Whether they have been."""
+    size: Scalar
+    """Of the last step."""
+    settled: Bool[Array, ""]
+    steps: Array
+    told: Any
+    """Before that step."""
 
 
 class Tip(NamedTuple):

@@ -57,7 +57,7 @@ from vibrissa.mechanics.section import (
     stage_of,
 )
 from vibrissa.numerics.derivatives import by_differences
-from vibrissa.numerics.rotation import turned
+from vibrissa.numerics.rotation import cross_matrix, turned
 from vibrissa.numerics.rows import row_of, rows_from, with_row
 from vibrissa.numerics.runge_kutta import ORDER_5, ORDER_8, Scheme, error_of_order_8, stepped
 from vibrissa.numerics.vectors import dot, joined
@@ -88,10 +88,6 @@ _FULL_TURN = 2 * math.pi
 """By which bending turns a rod that meets itself."""
 _LARGEST_ERROR = 1e-6
 """Estimated error of a hanging rod's tip [L] up to which it counts as found: as for contacts."""
-_WEAK = 0.002
-"""Force over the loads' resultant: with less, an error of a hundredth in what the loads do behind
-the contact turns the force about.
-"""
 _ROUNDING = 1e-9
 """By which a contact at the tip may seem to lie before it [L]."""
 _TINY = 1e-300
@@ -647,20 +643,17 @@ class Kirchhoff(RodModel):
         moment: Vector,
         clamp: Clamp,
         which: Int[Any, ""] | int = 0,
-        free: Free | None = None,
     ) -> Contact:
         """As in `RodModel`: a place along the rod where the moment in it is least, once that of the
         loads behind it is taken off.
         """
-        crossing, _ = self._crossings(clamp, Push(-force, -moment), free)
+        crossing, _ = self._crossings(clamp, Push(-force, -moment))
         return crossing(which)
 
     @_traced_once
-    def contacts(
-        self, force: Vector, moment: Vector, clamp: Clamp, free: Free | None = None
-    ) -> Contact:
+    def contacts(self, force: Vector, moment: Vector, clamp: Clamp) -> Contact:
         """As in `RodModel`."""
-        crossing, count = self._crossings(clamp, Push(-force, -moment), free)
+        crossing, count = self._crossings(clamp, Push(-force, -moment))
         none: Contact = jax.tree.map(
             lambda part: jnp.full((self.candidates, *part.shape), jnp.nan),
             jax.eval_shape(crossing, 0),
@@ -673,13 +666,13 @@ class Kirchhoff(RodModel):
         return found
 
     def _crossings(
-        self, clamp: Clamp, push: Push, free: Free | None
+        self, clamp: Clamp, push: Push
     ) -> tuple[Callable[[Any], Contact], Int[Array, ""]]:
         """The contact at a crossing of the rod and the force's line of action, in order, and up to
         how many there are.
         """
         if self.load is not None:
-            return self._loaded_crossings(clamp, push, free)
+            return self._loaded_crossings(clamp, push)
         line, f = self.line(clamp, push), jnp.sqrt(dot(push.force, push.force))
 
         def falling(s: Scalar) -> tuple[Scalar, Scalar]:
@@ -713,57 +706,48 @@ class Kirchhoff(RodModel):
         return Contact(at, d, s, incidence, here.energy, gap, error=error)
 
     def _loaded_crossings(
-        self, clamp: Clamp, push: Push, free: Free | None
+        self, clamp: Clamp, push: Push
     ) -> tuple[Callable[[Any], Contact], Int[Array, ""]]:
-        """Where the moment is that of the loads behind the contact; place and those loads'
-        resultants by Newton's method, beginning with the resultants of the free rod.
+        """Where the moment is that of the loads behind the contact: the place, and how their
+        resultants differ from those on a rod that nothing but the reactions bends, by Newton's
+        method. With the latter taken off, a single force is left of the reactions.
         """
         line = self.line(clamp, push, jnp.zeros(6))
-        inner, hanging = Inner(line, clamp, push), free or self._hanging(clamp)
-        assert isinstance(hanging, Hanging)
-        own = hanging.line.states.load
-        alone = push.force + line.states.load[:, :3] - own[:, :3]
-        inside = push.moment - jnp.cross(line.reach, push.force)
-        inside = inside + line.states.load[:, 3:] - own[:, 3:]
-        slopes = -jnp.sum(jnp.cross(line.tangent, alone) * inside, 1)
+        inner, last = Inner(line, clamp, push), row_of(line.states, len(line.nodes) - 1)
+        weight = -last.load[:3]
+        about = jnp.cross(last.reach, weight) - last.load[3:]
+        single = Push(push.force - weight, push.moment - about)
+        inside = single.moment - jnp.cross(line.reach, single.force)
+        slopes = -jnp.sum(jnp.cross(line.tangent, single.force) * inside, 1)
 
-        def parts(unknowns: Float[Array, "7"]) -> tuple[State, Vector, Vector, Line]:
-            s, tail = unknowns[0], unknowns[1:]
+        def left(unknowns: Float[Array, "7"]) -> tuple[Array, Any]:
+            """The lever about the force, and what is left at the tip."""
+            s, more = unknowns[0], unknowns[1:]
             here = self._at(inner, s)
-            force = push.force + here.load[:3] - tail[:3]
-            moment = push.moment - jnp.cross(here.reach, push.force) + here.load[3:] - tail[3:]
-            return here, force, moment, self._rest(inner, s, here._replace(load=tail))
+            t, beyond = here.tangent, jnp.maximum(s - 1.0, 0.0)
+            force, moment = single.force - more[:3], _of_push(single, here.reach) - more[3:]
+            own = joined(weight, about - jnp.cross(here.reach - beyond * t, weight))
+            rest = self._rest(inner, s, here._replace(load=here.load + own + more))
+            across = jnp.cross(t, force) / dot(force, force)
+            # Slopes as if the rod behind were stiff, and its load the same wherever it is.
+            by_place = dot(across, jnp.cross(t, single.force))
+            levers = joined(by_place, np.zeros(3), across)
+            lever = -cross_matrix(rest.reach[-1] - here.reach)
+            moments = jnp.concatenate([np.zeros((3, 1)), lever, np.eye(3)], axis=1)
+            known = jnp.concatenate([levers[None], np.eye(3, 7, 1), moments])
+            told = here, force, moment, rest.states.energy[-1], rest.error[-1]
+            return joined(-dot(across, moment), rest.states.load[-1]), (known, told)
 
         def crossing(which: Any) -> Contact:
-            begin = zero(None, line, slopes, which)
-            place, _, x = line.between(begin)
-            behind, ahead = rows_from(own, place, 2)
-            tail = behind + x * (ahead - behind)
-
-            def refined(anywhere: Array, at: Float[Array, "7"]) -> Float[Array, "7"]:
-                def left(unknowns: Float[Array, "7"]) -> Float[Array, "7"]:
-                    here, force, moment, rest = parts(unknowns)
-                    lever = -dot(jnp.cross(here.tangent, force), moment) / dot(force, force)
-                    lever = jnp.where(anywhere > 0, lever, unknowns[0] - begin)
-                    return joined(lever, rest.states.load[-1])
-
-                return balanced(left, at)
-
-            # The place of a weak contact is known only once the loads behind it are.
-            weight, f = own[0, :3], row_of(alone, place)
-            strong = dot(f, f) > _WEAK**2 * dot(weight, weight)
-            unknowns = lax.fori_loop(strong.astype(int), 2, refined, joined(begin, tail))
-            here, force, moment, rest = parts(unknowns)
+            start = joined(zero(None, line, slopes, which), jnp.zeros(6))
+            unknowns, (here, force, moment, energy, error) = balanced(left, start)
             f, reach = jnp.sqrt(dot(force, force)), here.reach
             total = joined(-push.force, -push.moment)
             load = total + joined(force, jnp.cross(reach, force) + moment)
             incidence = (1 + dot(here.tangent, force) / f) / 2
-            energy = rest.states.energy[-1]
             gap = jnp.sqrt(dot(moment, moment)) / f
             lever = jnp.cross(here.tangent, force) / f
-            error = (self._error_at(inner, unknowns[0]) + rest.error[-1]) / jnp.sqrt(
-                dot(lever, lever)
-            )
+            error = (self._error_at(inner, unknowns[0]) + error) / jnp.sqrt(dot(lever, lever))
             return Contact(reach, force / f, unknowns[0], incidence, energy, gap, load, error)
 
         return crossing, most_zeros(slopes)
@@ -782,5 +766,11 @@ def _along(axes: tuple[Vector, ...], wrench: Wrench) -> Wrench:
 
 def _moment(push: Push, at: State) -> Vector:
     """Moment in the rod."""
-    m: Vector = push.moment - jnp.cross(at.reach, push.force)
+    m = _of_push(push, at.reach)
     return m if at.load is None else m + at.load[3:]
+
+
+def _of_push(push: Push, reach: Vector) -> Vector:
+    """Its moment about a point."""
+    m: Vector = push.moment - jnp.cross(reach, push.force)
+    return m

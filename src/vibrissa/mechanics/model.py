@@ -287,19 +287,16 @@ class RodModel(eqx.Module):
         moment: Vector,
         clamp: Clamp,
         which: Int[Any, ""] | int = 0,
-        free: Free | None = None,
     ) -> Contact:
         """Return the contact that explains support reactions: force and moment on the rod, the
         moment about the clamp. Of several, the first along the rod or a later one (`which`); with
-        an arc length of NaN if there is none. `free` is the rod without contact, where it is known.
+        an arc length of NaN if there is none.
         """
 
-    def contacts(
-        self, force: Vector, moment: Vector, clamp: Clamp, free: Free | None = None
-    ) -> Contact:
+    def contacts(self, force: Vector, moment: Vector, clamp: Clamp) -> Contact:
         """Return all `candidates` (k, …), in order along the rod."""
         alone: Contact = jax.tree.map(
-            lambda part: jnp.asarray(part)[None], self.contact(force, moment, clamp, 0, free)
+            lambda part: jnp.asarray(part)[None], self.contact(force, moment, clamp)
         )
         return alone
 

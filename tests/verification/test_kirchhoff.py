@@ -223,8 +223,9 @@ def test_steps_without_length_change_nothing(rod: vb.Rod, reach: float) -> None:
     nodes = whole.steps.nodes[: steps + 1]
     local = jax.tree.map(lambda part: part[:steps], whole.steps.local)
     alone = replace(whole, steps=Steps.of(nodes, local, whole.steps.scheme))
-    own = jnp.array([0.0, 0.0, -0.2, 0.01, -0.02, 0.0]) if whole.loaded else ()
-    free = alone.line(ORIGIN, Push(jnp.zeros(3), jnp.zeros(3)), own if whole.loaded else None)
+    load = jnp.array([0.0, 0.0, -0.2, 0.01, -0.02, 0.0]) if whole.loaded else None
+    own = load[6 - whole.unknowns :] if whole.loaded else ()
+    free = alone.line(ORIGIN, Push(jnp.zeros(3), jnp.zeros(3)), load)
     point = free.at(reach)[0] + jnp.array([0.02, 0.01, 0.0])
 
     def bent(model: Kirchhoff) -> tuple[jax.Array, ...]:

@@ -207,7 +207,8 @@ def potentials(scan: vb.Scan) -> np.ndarray:
     clamps = clamp_of(scan.trail.position / rod.length, scan.trail.orientation)
     given = clamps, scan.point / rod.length, np.linalg.norm(force, axis=1), scan.force_direction
 
-    def potential(load: Any, *given: Any) -> Any:
-        return model.potential(model.bent(*given, load))
+    def potential(own: Any, *given: Any) -> Any:
+        return model.potential(model.bent(*given, own))
 
-    return np.asarray(jax.jit(jax.vmap(potential))(load, *given))
+    own = load[:, 6 - model.unknowns :]
+    return np.asarray(jax.jit(jax.vmap(potential))(own, *given))

@@ -325,15 +325,15 @@ def _states(
     normal, direction = surface.normal(points), -force / magnitude[:, None]
     along = np.sum(direction * normal, axis=1, keepdims=True)
     leaning = (direction - along * normal) / np.maximum(along, _STEEPEST)
-    own = None
+    load = None
     if bench.loaded:
         # From the resultants of the free rod's loads.
         pose = Pose(rows.pose.position[contact], axes)
-        own = -free_readings((bench, np.ones(1)), pose).reactions
-        resultant = -(force + own[:, :3])
+        load = -free_readings((bench, np.ones(1)), pose).reactions
+        resultant = -(force + load[:, :3])
         magnitude = np.linalg.norm(resultant, axis=1)
         direction = resultant / magnitude[:, None]
-    return State(points, magnitude, leaning if problem.friction > 0 else 0 * leaning, own)
+    return State(points, magnitude, leaning if problem.friction > 0 else 0 * leaning, load)
 
 
 def _pivot(surface: Surface, points: Vectors) -> Float[np.ndarray, "3"]:

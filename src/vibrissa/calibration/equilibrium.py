@@ -44,8 +44,8 @@ class State(NamedTuple):
     """Magnitude of the contact force."""
     leaning: Float[Any, "*n 3"]
     """Tangential force over the normal force."""
-    own: Float[Any, "*n 6"] | None = None
-    """The rod's own unknowns: force and moment about the clamp of the loads along it, if any."""
+    load: Float[Any, "*n 6"] | None = None
+    """Force and moment about the clamp of the loads along the rod, if any."""
 
 
 class Reading(NamedTuple):
@@ -76,9 +76,9 @@ def readings(shared: tuple[Surface, Bench], start: State, pose: Pose) -> Reading
     surface, given = shared
     unit = given.stiffness / given.length**2
     guess = jnp.append(start.point / given.length, start.force / unit)
-    count = 0 if start.own is None else 6
-    if start.own is not None:
-        guess = jnp.concatenate([guess, start.own / _units(given)])
+    count = given.model.unknowns
+    if start.load is not None:
+        guess = jnp.concatenate([guess, (start.load / _units(given))[6 - count :]])
     x = iterated(
         lambda x: _touching(surface, given, Unknowns.of(x, count), start.leaning, pose).residual,
         guess,
@@ -98,13 +98,15 @@ def readings(shared: tuple[Surface, Bench], start: State, pose: Pose) -> Reading
         else:
             reactions = jnp.append(found.bent.support_force, found.bent.base_moment)
             wrench = _read(bench, pose, reactions)
-        own = x[4:] * _units(bench) if count else None
-        told = found.residual, wrench, point, magnitude, own
+        load = None if found.bent.load is None else found.bent.load * _units(bench)
+        told = found.residual, wrench, point, magnitude, load
         return (found.residual, wrench), told
 
-    ((by_x, *rest), (wrench_by_x, *direct)), (residual, wrench, point, magnitude, own) = jax.jacfwd(
-        read, argnums=(0, 1, 2), has_aux=True
-    )(x, jax.tree.map(jnp.asarray, given.no_step), start.leaning)
+    ((by_x, *rest), (wrench_by_x, *direct)), (residual, wrench, point, magnitude, load) = (
+        jax.jacfwd(read, argnums=(0, 1, 2), has_aux=True)(
+            x, jax.tree.map(jnp.asarray, given.no_step), start.leaning
+        )
+    )
     by_step, by_leaning = jax.tree.map(
         lambda part, change: part + wrench_by_x @ change, direct, implicit(by_x, rest)
     )
@@ -116,7 +118,7 @@ def readings(shared: tuple[Surface, Bench], start: State, pose: Pose) -> Reading
         # An object only pushes: where it would have to pull, the rod does not touch.
         & (magnitude > 0)
     )
-    state = State(point, magnitude, start.leaning, own)
+    state = State(point, magnitude, start.leaning, load)
     return Reading(state, sound, wrench, by_step, by_leaning)
 
 

@@ -70,5 +70,8 @@ def touching(
         push, away = push._replace(gaps=push.gaps + slack), away - lean / 2
     rubs, beyond = law.rubs(scene, state, push.normal, bent, tangent, before)
     placed = law.placed(left, away)
-    residual = joined(push.gaps, bent.misses, placed, rubs)
+    # The rod's own conditions come last, as its unknowns do: their number leaves the sign of the
+    # determinant as it is.
+    passes, own = bent.misses[:2], bent.misses[2:]
+    residual = joined(push.gaps, passes, placed, rubs, own)
     return Touching(residual, push, bent, tangent, left - away, beyond)

@@ -137,7 +137,7 @@ def _clearance(scene: Scene, clamp: Clamp, resting: Resting) -> Clearance:
     steepness = jnp.sqrt(jnp.sum(found.gradient * found.gradient))
     cosine = dot(found.gradient, found.tangent) / steepness + found.leaning
     distance = found.value / steepness
-    own, sound = -free.reactions[: scene.rod.unknowns], jnp.asarray(free.sound)
+    own, sound = -free.reactions[6 - scene.rod.unknowns :], jnp.asarray(free.sound)
     place = found.point, found.tangent
     return Clearance(distance, found.arc_length, sampled[0], cosine, *place, own, sound)
 
@@ -159,7 +159,7 @@ def _free_rods(
 ) -> tuple[Float[Array, "n 3"], Float[Array, "own"]]:
     free = scene.rod.free(clamp, resting)
     points = jax.vmap(lambda s: free.at(s)[0])(np.linspace(0, 1, _FREE_POINTS))
-    return points, -free.reactions[: scene.rod.unknowns]
+    return points, -free.reactions[6 - scene.rod.unknowns :]
 
 
 def neutral(

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 
 from vibrissa.mechanics.line import across_of
 from vibrissa.numerics.derivatives import by_differences, implicit
-from vibrissa.numerics.linear import solve_pivoted
+from vibrissa.numerics.linear import solve_pivoted, solve_small
 from vibrissa.numerics.vectors import dot, joined
 
 Scalar = Float[Any, ""]
@@ -54,6 +54,11 @@ class Load(eqx.Module):
     def alike_everywhere(self) -> bool:
         """Whether it does not depend on the position."""
 
+    @property
+    @abstractmethod
+    def given(self) -> bool:
+        """Whether it depends on the arc length alone, so that its resultant is known."""
+
     @abstractmethod
     def per_length(self, s: Scalar, position: Vector, tangent: Vector, section: Any) -> Vector:
         """At an arc length and a position [L]; `section` holds whatever varies along the rod."""
@@ -69,6 +74,11 @@ class Share(Load):
     def alike_everywhere(self) -> bool:
         """As in `Load`."""
         return self.whole.alike_everywhere
+
+    @property
+    def given(self) -> bool:
+        """As in `Load`."""
+        return self.whole.given
 
     def per_length(self, s: Scalar, position: Vector, tangent: Vector, section: Any) -> Vector:
         """As in `Load`."""
@@ -90,7 +100,7 @@ def balanced(
         asked = jnp.where(at.fresh, len(at.x), 0)
         taken, (value, (known, told)) = by_differences(left, at.x, count=asked)
         slopes = jnp.where(at.fresh, taken, jnp.where(at.differs, at.slopes, known))
-        change, _ = solve_pivoted(slopes, value)
+        change, _ = solve_small(slopes, value)
         size, differs = jnp.max(jnp.abs(change)), at.differs | at.fresh
         share = jnp.minimum(1.0, _LONGEST_STEP / jnp.maximum(size, _TINY))
         # Slow steps are those past a kink, as where a contact moves onto the tip; tiny ones that do

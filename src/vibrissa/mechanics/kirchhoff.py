@@ -183,6 +183,8 @@ class Kirchhoff(RodModel):
 
     steps: Steps
     load: Load | None = None
+    pull: Vector | None = None
+    """Resultant of a load that depends on the arc length alone."""
     compliance: Float[Any, "6 6"] | None = None
     """Of the support, clamp axes: displacement [L] and rotation vector under force [EI/L²] and
     moment [EI/L].
@@ -238,7 +240,8 @@ class Kirchhoff(RodModel):
         fewer_steps = max(math.ceil(count / _ROUGHLY), _ROUGHLY)
         few = np.linspace(0, count, fewer_steps + 1).round().astype(int)
         steps, fewer = divided(nodes, ORDER_8, count), divided(nodes[few], ORDER_5, count)
-        rod = cls(steps, load, compliance, roughly=fewer)
+        pull = _resultant(load, steps) if load is not None and load.given else None
+        rod = cls(steps, load, pull, compliance, roughly=fewer)
         return rod if load is not None else replace(rod, unloaded=rod.own_shape)
 
     @classmethod
@@ -261,6 +264,13 @@ class Kirchhoff(RodModel):
     def loaded(self) -> bool:
         """As in `RodModel`."""
         return self.load is not None
+
+    @property
+    def unknowns(self) -> int:
+        """As in `RodModel`."""
+        if not self.loaded:
+            return 0
+        return 6 if self.pull is None else 3
 
     @property
     def alike_everywhere(self) -> bool:
@@ -305,7 +315,8 @@ class Kirchhoff(RodModel):
     @property
     def finer(self) -> "Kirchhoff":
         """As in `RodModel`."""
-        return Kirchhoff(self.steps.halved, self.load, self.compliance, divided=self)
+        steps = self.steps.halved
+        return Kirchhoff(steps, self.load, self.pull, self.compliance, divided=self)
 
     def partly(self, share: Scalar) -> "Kirchhoff":
         """A rod on the way from a straight, uniform one that is rigidly held and without loads to
@@ -319,8 +330,9 @@ class Kirchhoff(RodModel):
         rest = None if local.rest is None else share * local.rest
         steps = Steps.of(nodes, Local(bending, torsion, rest, girth, local.loaded), scheme)
         load = None if self.load is None else Share(self.load, share)
+        pull = None if self.pull is None else share * self.pull
         compliance = None if self.compliance is None else share * self.compliance
-        rod = Kirchhoff(steps, load, compliance)
+        rod = Kirchhoff(steps, load, pull, compliance)
         return rod if load is not None else replace(rod, unloaded=rod.own_shape)
 
     def base(self, clamp: Clamp, wrench: Wrench) -> State:
@@ -525,11 +537,12 @@ class Kirchhoff(RodModel):
         near: Scalar | None = None,
     ) -> Bent:
         """As in `RodModel`: the contact is where the rod comes closest to the point. Loads leave no
-        force and no moment at the tip: their resultants at the clamp are the model's own unknowns.
+        force and no moment at the tip: their resultants at the clamp, as far as these are not
+        known, are the model's own unknowns.
         """
         r, along = point - clamp.point, force * direction
         push = Push(along, jnp.cross(r, along))
-        load = own if self.loaded else None
+        load = (own if self.pull is None else joined(self.pull, own)) if self.loaded else None
         line = self.line(clamp, push, load)
         inner, s = Inner(line, clamp, push), closest(line, r, near)
         here = self._at(inner, s)
@@ -542,7 +555,8 @@ class Kirchhoff(RodModel):
         inner = inner._replace(here=here)
         if load is not None:
             rest = self._rest(inner, s, here)
-            inner, misses = inner._replace(rest=rest), joined(misses, rest.states.load[-1])
+            left = rest.states.load[-1, 6 - self.unknowns :]
+            inner, misses = inner._replace(rest=rest), joined(misses, left)
         return Bent(point, r, force, direction, misses, s, incidence, inner, load)
 
     def tangent(self, bent: Bent) -> Vector:
@@ -720,9 +734,13 @@ class Kirchhoff(RodModel):
         inside = single.moment - jnp.cross(line.reach, single.force)
         slopes = -jnp.sum(jnp.cross(line.tangent, single.force) * inside, 1)
 
-        def left(unknowns: Float[Array, "7"]) -> tuple[Array, Any]:
+        def asked(rows: Array) -> Array:
+            """Without those of a force that is known."""
+            return jnp.concatenate([rows[:1], rows[7 - self.unknowns :]])
+
+        def left(unknowns: Float[Array, "k"]) -> tuple[Array, Any]:
             """The lever about the force, and what is left at the tip."""
-            s, more = unknowns[0], unknowns[1:]
+            s, more = unknowns[0], joined(np.zeros(6 - self.unknowns), unknowns[1:])
             here = self._at(inner, s)
             t, beyond = here.tangent, jnp.maximum(s - 1.0, 0.0)
             force, moment = single.force - more[:3], _of_push(single, here.reach) - more[3:]
@@ -734,12 +752,13 @@ class Kirchhoff(RodModel):
             levers = joined(by_place, np.zeros(3), across)
             lever = -cross_matrix(rest.reach[-1] - here.reach)
             moments = jnp.concatenate([np.zeros((3, 1)), lever, np.eye(3)], axis=1)
-            known = jnp.concatenate([levers[None], np.eye(3, 7, 1), moments])
+            stiff = jnp.concatenate([levers[None], np.eye(3, 7, 1), moments])
             told = here, force, moment, rest.states.energy[-1], rest.error[-1]
-            return joined(-dot(across, moment), rest.states.load[-1]), (known, told)
+            value = joined(-dot(across, moment), rest.states.load[-1])
+            return asked(value), (asked(asked(stiff).T).T, told)
 
         def crossing(which: Any) -> Contact:
-            start = joined(zero(None, line, slopes, which), jnp.zeros(6))
+            start = joined(zero(None, line, slopes, which), jnp.zeros(self.unknowns))
             unknowns, (here, force, moment, energy, error) = balanced(left, start)
             f, reach = jnp.sqrt(dot(force, force)), here.reach
             total = joined(-push.force, -push.moment)
@@ -751,6 +770,18 @@ class Kirchhoff(RodModel):
             return Contact(reach, force / f, unknowns[0], incidence, energy, gap, load, error)
 
         return crossing, most_zeros(slopes)
+
+
+def _resultant(load: Load, steps: Steps) -> Vector:
+    """Of a load that depends on the arc length alone."""
+    h, none = jnp.diff(steps.nodes), jnp.zeros(3)
+    s = steps.nodes[:-1, None] + h[:, None] * steps.scheme.nodes
+
+    def at(s: Scalar, loaded: Any) -> Vector:
+        return load.per_length(s, none, none, loaded)
+
+    q = jax.vmap(jax.vmap(at))(s, steps.stages.loaded)
+    return jnp.sum((h[:, None] * steps.scheme.weights)[:, :, None] * q, axis=(0, 1))
 
 
 def _at_tip(load: Wrench, share: Any, rod: Kirchhoff, clamp: Clamp) -> tuple[Tip, Scalar]:

@@ -175,9 +175,10 @@ class RodModel(eqx.Module):
     @property
     def unknowns(self) -> int:
         """How many unknowns of its own the model adds: none where the contact force alone
-        determines the reactions, else the resultants of other loads.
+        determines the reactions, else the moment of other loads about the clamp point, and before
+        it their force unless that is known.
         """
-        return 6 if self.loaded else 0
+        return 0
 
     @abstractmethod
     def free(self, clamp: Clamp, resting: Resting | None = None) -> Free:

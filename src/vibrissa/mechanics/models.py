@@ -45,6 +45,12 @@ class _Load(Load):
         alike: bool = self.loads.alike_everywhere
         return alike
 
+    @property
+    def given(self) -> bool:
+        """As in `vibrissa.mechanics.hanging.Load`."""
+        given: bool = self.loads.weight_alone
+        return given
+
     def per_length(self, s: Any, position: Vector, tangent: Vector, section: Any) -> Vector:
         """As in `vibrissa.mechanics.hanging.Load`."""
         density, radius = section

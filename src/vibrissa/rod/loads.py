@@ -77,6 +77,11 @@ class Loads(Described):
         """Whether no function of the position acts."""
         return self.force is None and not callable(self.wind)
 
+    @property
+    def weight_alone(self) -> bool:
+        """Whether nothing else acts."""
+        return self.force is None and self.wind is None
+
     def per_length(
         self,
         arc_length: Figure,

@@ -331,7 +331,7 @@ def _of_reactions(
     if pose is not None:
         at = pose.orientation
         clamp, turn = Clamp(pose.position, third_axis(at), first_axis(at)), rotation_matrix(at)
-        excess = unknowns[3:]
+        excess = joined(jnp.zeros(6 - rod.unknowns), unknowns[3:])
         load = excess - _turned(turn, pose.free)
     push = -_turned(turn, wrench) - excess
     force, s1 = push[:3], x[ARC_LENGTH]
@@ -343,7 +343,7 @@ def _of_reactions(
     incidence = (1 + dot(tangent, n)) / 2
     if rod.loaded:
         rest = rod.beyond(inner, s1).states
-        left, energy = joined(left, rest.load[-1]), rest.energy[-1]
+        left, energy = joined(left, rest.load[-1, 6 - rod.unknowns :]), rest.energy[-1]
     else:
         energy = rod.energy(model.Bent(reach, reach, f, n, left, s1, incidence, inner))
     seen, direction = (jnp.sum(turn.T * part, axis=1) for part in (reach, n))

@@ -115,6 +115,18 @@ def test_contacts_are_found_to_a_millionth_of_the_arc_length(
     assert off.max() < ALLOWED * rod.length
 
 
+def test_a_contact_behind_more_than_a_full_turn_is_not_another_one() -> None:
+    """Three times the printed force rolls the whisker up. No contact before that explains what is
+    felt then, also where force and moment are nearly perpendicular.
+    """
+    rod, felt_ones, points, places = sampled("taper and curvature", (3.0,))
+    near = np.array(places) < 0.5 * rod.length
+    found = vb.reconstruct(rod, felt_ones)
+    off = np.linalg.norm(found.point - points, axis=1)[near & (found.status == vb.Status.OK)]
+    assert off.max(initial=0.0) < ALLOWED * rod.length
+    assert (abs(found.single_contact_residual) < 1e-3)[near].any()
+
+
 @pytest.mark.parametrize("shape", WHISKERS)
 @pytest.mark.parametrize("accuracy", [1e-4, 1e-7])
 def test_contacts_of_few_steps_are_as_good_or_say_that_they_are_not(

@@ -160,6 +160,8 @@ class _Held(NamedTuple):
     """What the wrench itself says."""
     several: Flag | bool = False
     """Whether others explain the reactions too."""
+    unlikely: Flag | bool = False
+    """Whether none does, as exact as these are."""
     sound: Flag | bool = True
     """Whether the free rod has a stable shape."""
 
@@ -322,18 +324,20 @@ def _held(setting: Setting, sample: Sample) -> _Held:
     free = rod.free(clamp, sample.resting)
     tip = free.at(jnp.ones(()))[0] - clamp.point
     which, several = jnp.zeros((), dtype=int), jnp.zeros((), dtype=bool)
+    unlikely = several
     found = candidates_at(setting, sample)
     if rod.candidates > 1:
         fits = _explain(setting, sample, found)
         which, several = jnp.argmax(fits), jnp.sum(fits) > 1
+        unlikely = ~jnp.any(fits) if sample.covariance is None else unlikely
     measured = jax.tree.map(lambda part: part[which], found)
     if not rod.loaded:
         reader = _Reader(rod, clamp, None, which)
-        return _Held(reader, wrench, wrench, tip, measured, several)
+        return _Held(reader, wrench, wrench, tip, measured, several, unlikely)
     load = measured.load
     load = jnp.where(jnp.all(jnp.isfinite(load)), load, free.reactions)
     apart, reader = (wrench - load, wrench - free.reactions), _Reader(rod, clamp, load, which)
-    return _Held(reader, *apart, tip, measured, several, free.sound)
+    return _Held(reader, *apart, tip, measured, several, unlikely, free.sound)
 
 
 def candidates_at(setting: Setting, sample: Sample) -> Contact:
@@ -435,7 +439,7 @@ def _judged(
         (incidence - _STEEP_DEVIATIONS * steepness > setting.steepest, Status.STEEP_TANGENT),
         (before_tip & backwards & curved, Status.STEEP_TANGENT),
         (s1 > 1 + TIP + _TIP_DEVIATIONS * deviation, Status.BEYOND_TIP),
-        (jnp.abs(single) > most, Status.NOT_SINGLE_CONTACT),
+        ((jnp.abs(single) > most) | held.unlikely, Status.NOT_SINGLE_CONTACT),
     )
     conditions, codes = zip(*findings, strict=True)
     tip = s1 > 1 - TIP - _KIND_DEVIATIONS * deviation

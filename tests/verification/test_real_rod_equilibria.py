@@ -195,6 +195,25 @@ def test_a_heavy_rod_snaps_at_one_place_with_any_steps() -> None:
     assert np.ptp(places, axis=0).max() < 1e-8
 
 
+@pytest.mark.parametrize("count", [61, 121])
+def test_a_hanging_thread_snaps_over_a_ball_with_any_steps(count: int) -> None:
+    """Clamped level, of a weight of 20 EI/L²: it slides up the ball at its end, falls to the other
+    side, and leaves it as far from the ball's middle as it came.
+    """
+    length = 0.26
+    radius = np.sqrt(4 * 1140 * 9.81 * length**3 / (2.5e9 * 20))
+    thread = vb.Rod.cylinder(length=length, radius=radius, youngs_modulus=2.5e9, density=1140)
+    thread = thread.loaded(vb.Loads(gravity=(0, 9.81, 0)))
+    ball = vb.surfaces.Sphere(center=(0, 0.831 * length, 0.438 * length), radius=0.15 * length)
+    x = 0.3 * length
+    scan = vb.scan(thread, ball, vb.Trail.line(start=(x, 0, 0), stop=(-x, 0, 0), count=count))
+    assert (scan.status == vb.Status.OK).all()
+    first, snap, last = scan.events
+    kinds = vb.EventKind.FIRST_CONTACT, vb.EventKind.SNAP, vb.EventKind.DETACH
+    assert (first.kind, snap.kind, last.kind) == kinds
+    assert first.parameter + last.parameter == pytest.approx(1.0, abs=1e-9)
+
+
 def potentials(scan: vb.Scan) -> np.ndarray:
     """Of the rod at positions in contact (n,) [EI/L], given only what a scan tells; elsewhere NaN."""
     rod, model = scan.rod, spatial(scan.rod)

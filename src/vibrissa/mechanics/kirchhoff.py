@@ -76,6 +76,8 @@ _ROUGHLY = 3
 """Steps that are one, of a method of order 5, where only derivatives for Newton's method are
 wanted, and the fewest of these: to three digits or more, so that a step of it gains as many.
 """
+_ROUGH = 30.0
+"""How much a step with slopes of the rougher rod is to gain at least."""
 _LARGEST_TURN = 1.5
 """Angle [rad] by which a rod may turn in one step; a row whose rod turned further says so by its
 residual.
@@ -238,9 +240,14 @@ class Kirchhoff(RodModel):
 
         count = len(nodes) - 1
         fewer_steps = max(math.ceil(count / _ROUGHLY), _ROUGHLY)
-        few = np.linspace(0, count, fewer_steps + 1).round().astype(int)
-        steps, fewer = divided(nodes, ORDER_8, count), divided(nodes[few], ORDER_5, count)
-        pull = _resultant(load, steps) if load is not None and load.given else None
+        few: Any = np.linspace(0, count, fewer_steps + 1).round().astype(int)
+        steps, pull = divided(nodes, ORDER_8, count), None
+        if load is not None and load.given:
+            by_step = _pulls(load, steps)
+            pull = jnp.sum(by_step, axis=0)
+            most = jnp.clip(_rough_steps(by_step, steps), fewer_steps, count)
+            few = jnp.minimum(jnp.round(np.arange(count + 1) * (count / most)), count).astype(int)
+        fewer = divided(nodes[few], ORDER_5, count)
         rod = cls(steps, load, pull, compliance, roughly=fewer)
         return rod if load is not None else replace(rod, unloaded=rod.own_shape)
 
@@ -772,8 +779,8 @@ class Kirchhoff(RodModel):
         return crossing, most_zeros(slopes)
 
 
-def _resultant(load: Load, steps: Steps) -> Vector:
-    """Of a load that depends on the arc length alone."""
+def _pulls(load: Load, steps: Steps) -> Float[Array, "steps 3"]:
+    """Resultants on each step of a load that depends on the arc length alone."""
     h, none = jnp.diff(steps.nodes), jnp.zeros(3)
     s = steps.nodes[:-1, None] + h[:, None] * steps.scheme.nodes
 
@@ -781,7 +788,19 @@ def _resultant(load: Load, steps: Steps) -> Vector:
         return load.per_length(s, none, none, loaded)
 
     q = jax.vmap(jax.vmap(at))(s, steps.stages.loaded)
-    return jnp.sum((h[:, None] * steps.scheme.weights)[:, :, None] * q, axis=(0, 1))
+    return h[:, None] * jnp.sum(steps.scheme.weights[:, None] * q, axis=1)
+
+
+def _rough_steps(pulls: Float[Array, "steps 3"], steps: Steps) -> Scalar:
+    """Steps of order 5 that give slopes of a rod under such loads to a thirtieth: with λ = √(W/B)
+    for a uniform rod of weight W, what is changed at the clamp grows as exp λ up to the tip, and so
+    does the error of n steps, about n (λ/n)⁶/6!.
+    """
+    behind = jnp.cumsum(pulls[::-1], axis=0)[::-1]
+    weight = jnp.sqrt(jnp.sum(behind**2, axis=1)) / steps.local.bending[:, 0]
+    # λ = ∫ 3/2 √(W(s)/B) ds, also for others.
+    rate = 1.5 * jnp.sum(jnp.diff(steps.nodes) * jnp.sqrt(weight))
+    return jnp.ceil((rate**6 * jnp.exp(rate) * _ROUGH / math.factorial(6)) ** 0.2)
 
 
 def _at_tip(load: Wrench, share: Any, rod: Kirchhoff, clamp: Clamp) -> tuple[Tip, Scalar]:

@@ -161,7 +161,7 @@ class _Held(NamedTuple):
     several: Flag | bool = False
     """Whether others explain the reactions too."""
     unlikely: Flag | bool = False
-    """Whether none does, as exact as these are."""
+    """Whether none explains them, if they are exact."""
     sound: Flag | bool = True
     """Whether the free rod has a stable shape."""
 

@@ -246,9 +246,8 @@ class Kirchhoff(RodModel):
             by_step = _pulls(load, steps)
             pull = jnp.sum(by_step, axis=0)
             enough = jnp.clip(_rough_steps(by_step, steps), fewer_steps, count)
-            few = jnp.round(jnp.minimum(np.arange(count + 1), enough) * (count / enough)).astype(
-                int
-            )
+            few = jnp.minimum(np.arange(count + 1), enough) * (count / enough)
+            few = jnp.round(few).astype(int)
         fewer = divided(nodes[few], ORDER_5, count)
         rod = cls(steps, load, pull, compliance, roughly=fewer)
         return rod if load is not None else replace(rod, unloaded=rod.own_shape)

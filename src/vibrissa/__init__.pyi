@@ -28,6 +28,7 @@ from .io import (
 from .reactions import Reactions
 from .rod import Loads, RestShape, Rod, Section, Support, Thermal
 from .sensor import Sensor
+from .shape import Shape, ShapeMesh, fit_shape
 from .tolerances import Tolerances
 from .trail import Trail
 from .viewer import view
@@ -57,6 +58,8 @@ __all__ = [
     "Section",
     "Sensor",
     "Setup",
+    "Shape",
+    "ShapeMesh",
     "Smoothing",
     "Status",
     "Support",
@@ -70,6 +73,7 @@ __all__ = [
     "equilibria",
     "estimate_friction",
     "expected_error",
+    "fit_shape",
     "io",
     "live",
     "load_case",

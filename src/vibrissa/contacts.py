@@ -42,6 +42,8 @@ class Contacts:
         (…) values of `ContactKind` and `Status`, or None.
     covariance, normal_covariance
         (…, 3, 3) of point and normal, or None.
+    cross_covariance
+        (…, 3, 3) of point (rows) with normal (columns), or None.
     time
         (…) [s], or None.
     sweep
@@ -63,6 +65,7 @@ class Contacts:
     force_direction: Float[np.ndarray, "*rows 3"] | None = None
     arc_length: Float[np.ndarray, "*rows"] | None = None
     status: Int[np.ndarray, "*rows"] | None = None
+    cross_covariance: Float[np.ndarray, "*rows 3 3"] | None = None
 
     def __init__(
         self,
@@ -76,6 +79,7 @@ class Contacts:
         force_direction: ArrayLike | None = None,
         arc_length: ArrayLike | None = None,
         status: ArrayLike | None = None,
+        cross_covariance: ArrayLike | None = None,
     ) -> None:
         given, rows = locals(), np.shape(point)[:-1]
         for field in fields(self):
@@ -136,6 +140,7 @@ _SHAPES: dict[str, tuple[int, ...]] = {
     "force_direction": (3,),
     "covariance": (3, 3),
     "normal_covariance": (3, 3),
+    "cross_covariance": (3, 3),
 }
 """Shape of a row's value, where it is not a scalar."""
 _UNIT = 1e-6

@@ -55,6 +55,8 @@ class Reconstruction:
         sweep; None if the noise is unknown.
     covariance_noise, normal_covariance_noise
         (…, 3, 3) of what varies from sample to sample: noise of the wrench and of the pose.
+    cross_covariance
+        (…, 3, 3) of point (rows) with force direction (columns), once smoothed; else None.
     arc_length_deviation
         Standard deviation (…) of s₁, or None.
     chi_square
@@ -101,6 +103,7 @@ class Reconstruction:
     smoothing: "tuple[Smoothing, ...] | None" = None
     covariance_noise: Covariances | None = None
     normal_covariance_noise: Covariances | None = None
+    cross_covariance: Covariances | None = None
     sensitivity: Float[np.ndarray, "*trail n 6 setup"] | None = None
     warnings: list[str] = field(default_factory=list)
     setup_check: SetupCheck | None = None

@@ -149,4 +149,5 @@ def with_shared(
         "normal_covariance_noise": of_normal,
         "covariance": of_point + length**2 * added[..., :3, :3],
         "normal_covariance": of_normal + added[..., 3:, 3:],
+        "cross_covariance": rows["cross_covariance"] + length * added[..., :3, 3:],
     }

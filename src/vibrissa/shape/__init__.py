@@ -1,5 +1,8 @@
-"""From contacts towards the surface."""
+"""From contacts to the surface, with its uncertainty."""
 
 from vibrissa.shape.coverage import coverage
+from vibrissa.shape.fit import fit_shape
+from vibrissa.shape.mesh import ShapeMesh
+from vibrissa.shape.shape import Shape
 
-__all__ = ["coverage"]
+__all__ = ["Shape", "ShapeMesh", "coverage", "fit_shape"]

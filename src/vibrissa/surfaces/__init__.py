@@ -3,6 +3,7 @@
 from vibrissa.surfaces.base import ExactSurface, Placed, Surface
 from vibrissa.surfaces.derived import Offset, Union
 from vibrissa.surfaces.functions import HeightField, Implicit
+from vibrissa.surfaces.lattice import Lattice
 from vibrissa.surfaces.mesh import Mesh
 from vibrissa.surfaces.primitives import Box, Capsule, Cone, Cylinder, Plane, Sphere, Torus
 from vibrissa.surfaces.quadrics import (
@@ -23,6 +24,7 @@ __all__ = [
     "ExactSurface",
     "HeightField",
     "Implicit",
+    "Lattice",
     "Mesh",
     "Offset",
     "Placed",

@@ -85,6 +85,7 @@ def by_itself(found: Reconstruction) -> dict[str, Any]:
     return {name: getattr(found, name) for name in _FIELDS} | {
         "covariance": found.covariance_noise,
         "normal_covariance": found.normal_covariance_noise,
+        "cross_covariance": np.zeros_like(found.covariance_noise),
         "sensitivity": sensitivities(found),
         "status": np.where(fine, Status.AMBIGUOUS, found.status),
     }
@@ -124,6 +125,7 @@ def located(
         "modulus": value.incidence,
         "covariance": rod.length**2 * (covariance[:, :3, :3] + of_model) + of_pose.point,
         "normal_covariance": covariance[:, 3:, 3:] + of_pose.direction,
+        "cross_covariance": rod.length * covariance[:, :3, 3:],
         "sensitivity": by_coordinates @ moved + by_setup,
     }
 

@@ -1,0 +1,240 @@
+"""From contacts of one or many sweeps to a surface.
+
+1. Contacts are pooled along their sweeps (`sites`).
+2. A first surface, from a part of them, gives curvatures, directions and outliers.
+3. The surface itself: its covariance tells the two sides of an edge apart by the first surface's
+   directions (`prior.Folds`), its scales come from the evidence, outliers lose their weight, and
+   errors are correlated along a sweep as much as residuals are (`noise`).
+4. Rods that passed through empty space push it back to where they were not (`swept`).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy.typing import ArrayLike
+
+from vibrissa.contacts import Contacts
+from vibrissa.geometry.checks import positive
+from vibrissa.shape.kernel import JET, Coordinates
+from vibrissa.shape.level import Level, places_of
+from vibrissa.shape.noise import Noise, reach_of
+from vibrissa.shape.outliers import (
+    agree_with_neighbours,
+    doubtful,
+    findings_of,
+    mostly_outliers,
+    outliers_of,
+)
+from vibrissa.shape.posterior import Basis, Data, posterior
+from vibrissa.shape.prior import Ball, Expected, Folds, Scales, most_likely
+from vibrissa.shape.shape import Shape
+from vibrissa.shape.sites import LEAST, Gathered, Sites, gathered, pooled, single, spread_out
+from vibrissa.shape.swept import emptied, swept_points
+
+_FIRST, _CARRIERS, _TRIED = 240, 400, 120
+"""Sites of the first surface, sites that carry unknowns of the second, and those of which the
+evidence is taken. Twice as many change distances by less than a tenth of their deviations.
+"""
+_ROUNDS = 3
+"""Of the first surface: outliers, curvatures and the evidence change little after the second."""
+_STUDENT = 4.0
+"""Degrees of freedom of the contacts' errors: a few in a hundred are far off, at starts and ends of
+contacts and where the rod snaps over an edge.
+"""
+_EXPECTED = Scales(0.3, 1.0, 0.05, 0.9)
+"""Medians, lengths relative to the extent of the contacts: what spheres, ellipsoids, a torus, blobs
+and a rounded block had. Smoothed contacts state 10 % more than their errors. The deviation is
+fixed: contacts on one side determine only its ratio to a power of the length.
+"""
+_SPREAD = Scales(0.0, 0.8, 0.3, 0.0)
+"""Of their logarithms."""
+_UNKNOWN_NOISE = 2.0
+"""Spread of the noise's factor where contacts come without covariances."""
+
+
+def fit_shape(
+    contacts: Contacts | Sequence[Contacts],
+    *,
+    swept: np.ndarray | Sequence[ArrayLike] | None = None,
+    length_scale: float | None = None,
+) -> Shape:
+    """Surface through the contacts of one or many sweeps, with its uncertainty.
+
+    Parameters
+    ----------
+    contacts
+        Of one sweep or several, as one object whose `sweep` tells them apart, or one for each;
+        best `vibrissa.smooth(found).contacts`. Only rows with a contact, and with status OK where
+        a status is given, are used. Sensors may differ: each contact counts by its covariance.
+    swept
+        Elastic lines (k, m, 3), or several such arrays: rods whose every point was outside the
+        object, as `Reconstruction.elastic_lines` gives them for rows without contact.
+    length_scale
+        Length over which the surface changes; by default what the evidence says.
+
+    Returns
+    -------
+    Shape
+        Signed distance, its standard deviation, gradient, mesh, outliers and warnings, in the
+        contacts' unit of length.
+
+    Raises
+    ------
+    ValueError
+        If fewer than three contacts can be used, all lie in one place, `swept` has no shape
+        (k, m, 3), or `length_scale` is not positive.
+
+    Notes
+    -----
+    A Gaussian process of the level given values and gradients at the contacts (Williams &
+    Fitzgibbon, *Gaussian process implicit surfaces*, 2006, with Matérn covariance). Time hardly
+    depends on the number of contacts beyond some thousand, as neighbours of a sweep are pooled.
+    Without covariances, errors are estimated with the rest.
+    """
+    given, lines = gathered(contacts), swept_points(swept)
+    length = None if length_scale is None else positive(length_scale, "length_scale")
+    agreeing = np.flatnonzero(agree_with_neighbours(given))
+    if len(agreeing) < LEAST:
+        agreeing = np.arange(len(given.point))
+    some = single(given.part(agreeing[_every(len(agreeing), _FIRST)]))
+    ball, expected = Ball.of(some), _expected(given, length)
+    first, part = _first(_start(some, given.extent, expected.median), ball, expected)
+    # Before neighbours are pooled, as one outlier spoils its pool.
+    judged = doubtful(given, first, first.curvature)
+    sound = ~outliers_of(given, judged, first, first.curvature)
+    sites = pooled(given.part(sound) if sound.sum() >= LEAST else given)
+    level, data, fit = _second(_carried(part, first, sites), first, ball, expected)
+    noise = fit.noise()
+    findings = findings_of(level, data, noise, sites, given.extent)
+    if lines is not None:
+        places = level.places(sites.point)
+        level = emptied(level, places, data.target, noise, lines, given.extent)
+    outlier = outliers_of(given, judged, level, first.curvature)
+    findings = mostly_outliers(given, outlier) + findings
+    return Shape(level, given.extent, sites, given.spread(outlier), findings)
+
+
+def _expected(given: Gathered, length: float | None) -> Expected:
+    """Priors of the scales for these contacts."""
+    lengths = np.array([given.extent] * 3 + [1.0])
+    median, spread = Scales(*(lengths * _EXPECTED).tolist()), _SPREAD
+    if length is not None:
+        median, spread = median._replace(length=length), spread._replace(length=0.0)
+    if not given.known:
+        median, spread = median._replace(noise=1.0), spread._replace(noise=_UNKNOWN_NOISE)
+    return Expected(median, spread)
+
+
+@dataclass(frozen=True)
+class Fitting:
+    """Sites with what is known of them so far."""
+
+    sites: Sites
+    extent: float
+    curvature: Float[np.ndarray, "n 3 3"]
+    weight: Float[np.ndarray, "n"]
+    reach: float
+    scales: Scales
+
+    def noise(self, *, scale: float | None = None, weight: np.ndarray | None = None) -> Noise:
+        """Errors of the sites, with another factor or other weights if asked."""
+        scale = self.scales.noise if scale is None else scale
+        weight = (self.weight if weight is None else weight) / scale**2
+        return Noise.of(self.sites, self.curvature, weight, self.reach, self.extent)
+
+    def part(self, rows: Int[np.ndarray, "rows"]) -> "Fitting":
+        """Some of the sites."""
+        return replace(
+            self,
+            sites=self.sites.part(rows),
+            curvature=self.curvature[rows],
+            weight=self.weight[rows],
+        )
+
+    def target(self, ball: Ball) -> Float[np.ndarray, "n 4"]:
+        """What the level's value and gradient should be, less the mean's."""
+        wanted = np.column_stack([np.zeros(len(self.weight)), self.sites.normal])
+        return wanted - ball.at(self.sites.point)
+
+    def residual(self, level: Level) -> Float[np.ndarray, "n 4"]:
+        """What it is, off that."""
+        point = self.sites.point
+        return self.target(level.ball) - np.column_stack(level.total.at(level.places(point)))
+
+    def judged(self, level: Level, open_: Float[np.ndarray, "n 4 4"], *, alike: bool) -> "Fitting":
+        """With weights by the residuals (Student's t, as iteratively reweighted least squares),
+        and, if asked, how far errors are alike.
+        """
+        residual, own = self.residual(level), self.noise(weight=np.ones_like(self.weight)).own
+        own = own + open_
+        square = np.einsum("ni,ni->n", residual, np.linalg.solve(own, residual[..., None])[..., 0])
+        weight = np.minimum((_STUDENT + JET) / (_STUDENT + square), 1.0)
+        reach = reach_of(self.sites, residual, own) if alike else self.reach
+        return replace(self, weight=weight, reach=reach)
+
+
+def _start(sites: Sites, extent: float, scales: Scales) -> Fitting:
+    count = len(sites.point)
+    flat, all_ = np.zeros((count, 3, 3)), np.ones(count)
+    return Fitting(sites, extent, flat, all_, 3 * float(sites.size.mean()), scales)
+
+
+def _first(part: Fitting, ball: Ball, expected: Expected) -> tuple[Level, Fitting]:
+    """A surface through a part of the contacts."""
+    expected = expected._replace(spread=expected.spread._replace(fold=0.0))
+    for number in range(_ROUNDS):
+        if number < _ROUNDS - 1:
+            part = replace(part, scales=_likely(part, ball, None, expected))
+        level, data = _surface(part, ball, None, len(part.weight))
+        part = part.judged(level, data.open, alike=True)
+        part = replace(part, curvature=level.curvature(part.sites.point))
+    return level, part
+
+
+def _carried(part: Fitting, first: Level, sites: Sites) -> Fitting:
+    """What the first surface says of all sites."""
+    point = sites.point
+    fit = replace(part, sites=sites, curvature=first.curvature(point), weight=np.ones(len(point)))
+    open_ = np.zeros((len(point), JET, JET))
+    open_[:, 0, 0] = first.variance(point)
+    return fit.judged(first, open_, alike=False)
+
+
+def _second(
+    fit: Fitting, first: Level, ball: Ball, expected: Expected
+) -> tuple[Level, Data, Fitting]:
+    """The surface whose coordinates know directions."""
+    folds = Folds(ball, first.total, 1.0)
+    fit = replace(fit, scales=_likely(fit, ball, folds, expected))
+    folds = folds._replace(fold=fit.scales.fold)
+    level, data = _surface(fit, ball, folds, _CARRIERS)
+    fit = fit.judged(level, data.open, alike=True)
+    fit = replace(fit, curvature=level.curvature(fit.sites.point))
+    return Level.of(ball, folds, posterior(level.found.basis, data, fit.noise())), data, fit
+
+
+def _likely(fit: Fitting, ball: Ball, folds: Folds | None, expected: Expected) -> Scales:
+    """Scales of greatest evidence, from a part of the sites."""
+    part = fit.part(_every(len(fit.weight), _TRIED))
+    places = places_of(folds, part.sites.point)
+
+    def coordinates(fold: float) -> Coordinates:
+        return places if folds is None else places.scaled(fold)
+
+    noise, target = part.noise(scale=1.0), part.target(ball)
+    return most_likely(expected, fit.scales, coordinates, noise, target, fit.extent)
+
+
+def _surface(fit: Fitting, ball: Ball, folds: Folds | None, carriers: int) -> tuple[Level, Data]:
+    """The random surface for given scales."""
+    places = places_of(folds, fit.sites.point)
+    basis = Basis.of(fit.scales.kernel(fit.extent), places.part(spread_out(places.value, carriers)))
+    data = Data.of(basis, places, fit.target(ball))
+    return Level.of(ball, folds, posterior(basis, data, fit.noise())), data
+
+
+def _every(count: int, most: int) -> Int[np.ndarray, "rows"]:
+    """Every so manieth row, so that there are no more than that."""
+    return np.arange(count)[:: -(-count // most)]

@@ -1,0 +1,140 @@
+"""Contacts that the surface contradicts, and sweeps that contradict one another."""
+
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.cluster.hierarchy import fcluster, linkage
+from scipy.spatial import KDTree
+
+from vibrissa.shape.kernel import JET
+from vibrissa.shape.level import Level
+from vibrissa.shape.noise import Noise
+from vibrissa.shape.posterior import Data, left_out
+from vibrissa.shape.sites import Gathered, Sites
+
+Curvature = Callable[[Float[np.ndarray, "n 3"]], Float[np.ndarray, "n 3 3"]]
+_ROWS = 8192
+_GROSS = 30.0
+"""Squared residual, in stated errors, above which a contact is an outlier."""
+_OFF, _TILTED = 5e-4, 0.03
+"""Errors of value, relative to the extent, and normal that do not make a contact gross, however
+precise it claims to be.
+"""
+_NEIGHBOURS, _APART = 8, 3.0
+"""Neighbours that a contact is compared with, and deviations by which they may differ."""
+_ROUND = 0.05
+"""What surfaces that are neither planes nor balls leave of a chord, relative to its length."""
+_CONTRADICTED = 6.0
+"""Deviations by which the contacts of a sweep, taken together, may miss what all others say."""
+_MOSTLY = 1 / 3
+"""Share of a sweep's contacts: more outliers are no accident."""
+_FEW, _SMALL = 5, 0.05
+"""Contacts, and share of all, of which a group of their own is worth a word."""
+_GAP = 0.35
+"""Gap between two groups of contacts, relative to the extent, above which they may be two objects:
+sweeps of one object lie closer.
+"""
+
+
+def doubtful(given: Gathered, level: Level, curvature: Curvature) -> Int[np.ndarray, "k"]:
+    """Contacts that a surface, taken as sure, does not readily explain: no others need be judged by
+    one that is better known.
+    """
+    found = np.zeros(len(given.point), dtype=bool)
+    for start in range(0, len(found), _ROWS):
+        rows = np.arange(start, min(start + _ROWS, len(found)))
+        found[rows] = _squares(given, rows, level, curvature, sure=True) > _GROSS / 4
+    return np.flatnonzero(found)
+
+
+def outliers_of(
+    given: Gathered, rows: Int[np.ndarray, "k"], level: Level, curvature: Curvature
+) -> Bool[np.ndarray, "n"]:
+    """Which of these contacts have a place or normal off the surface by far more than stated, its
+    own uncertainty included.
+    """
+    found = np.zeros(len(given.point), dtype=bool)
+    found[rows] = _squares(given, rows, level, curvature, sure=False) > _GROSS
+    return found
+
+
+def agree_with_neighbours(given: Gathered) -> Bool[np.ndarray, "n"]:
+    """Contacts whose neighbours, of any sweep, put the surface where they do.
+
+    On a plane or a ball the chord between two contacts is perpendicular to the sum of their
+    normals; the median over neighbours of what is left is compared with the stated errors.
+    """
+    count = min(_NEIGHBOURS, len(given.point) - 1)
+    _, near = KDTree(given.point).query(given.point, count + 1)
+    near = near[:, 1:]
+    chord = given.point[:, None] - given.point[near]
+    length = np.linalg.norm(chord, axis=2)
+    off = 0.5 * np.einsum("nki,nki->nk", chord, given.normal[:, None] + given.normal[near])
+    along = np.einsum("ni,nij,nj->n", given.normal, given.covariance[:, :3, :3], given.normal)
+    allowed = np.sqrt(along[:, None] + along[near] + (_ROUND * length) ** 2)
+    return np.median(np.abs(off) / np.maximum(allowed, 1e-300), axis=1) < _APART
+
+
+def _squares(
+    given: Gathered, rows: Int[np.ndarray, "k"], level: Level, curvature: Curvature, *, sure: bool
+) -> Float[np.ndarray, "k"]:
+    """Squared residuals of some contacts in their errors, as if the surface were sure or not."""
+    point = given.point[rows]
+    jets, bent = level.jets(point), curvature(point)
+    residual = np.column_stack([-jets[:, 0], given.normal[rows] - jets[:, 1:]])
+    own = Noise.errors(given.normal[rows], given.covariance[rows], bent, given.extent)
+    own += np.diag([(_OFF * given.extent) ** 2, *[_TILTED**2] * 3])
+    if not sure:
+        variance, length = level.variance(point), level.found.basis.kernel.smooth.length
+        own[:, 0, 0] += variance
+        own[:, 1:, 1:] += (variance * 5 / length**2)[:, None, None] * np.eye(3)
+    return np.einsum("ni,ni->n", residual, np.linalg.solve(own, residual[..., None])[..., 0])
+
+
+def findings_of(level: Level, data: Data, noise: Noise, sites: Sites, extent: float) -> list[str]:
+    """What the contacts say against one another, one line each."""
+    return _sweeps(level, data, noise, sites) + _groups(sites, extent)
+
+
+def mostly_outliers(given: Gathered, outlier: Bool[np.ndarray, "n"]) -> list[str]:
+    """Sweeps a large part of whose contacts are outliers, one line each."""
+    total, wrong = np.bincount(given.sweep), np.bincount(given.sweep, weights=outlier)
+    return [
+        f"sweep {sweep} contradicts the others: {wrong[sweep]:.0f} of its {total[sweep]} contacts "
+        "are outliers; check its mount and tare, and whether the object moved"
+        for sweep in np.flatnonzero(wrong > _MOSTLY * total)
+    ]
+
+
+def _sweeps(level: Level, data: Data, noise: Noise, sites: Sites) -> list[str]:
+    """Sweeps that miss the surface through all others."""
+    found: dict[int, tuple[float, float]] = {}
+    for rows, (missed, predicted, errors) in zip(
+        noise.groups, left_out(level.found, data, noise), strict=True
+    ):
+        whole = (predicted + errors)[::JET, ::JET]
+        # The common offset of the values, weighted as least squares does.
+        weight = np.linalg.solve(whole, np.ones(len(rows)))
+        offset, deviation = weight @ missed[::JET] / weight.sum(), weight.sum() ** -0.5
+        if abs(offset) > _CONTRADICTED * deviation:
+            found[int(sites.sweep[rows[0]])] = offset, deviation
+    return [
+        f"sweep {sweep} contradicts the others: its contacts lie {abs(offset):.3g} "
+        f"{'outside' if offset < 0 else 'inside'} the surface through theirs, expected within "
+        f"{2 * deviation:.2g}; check its mount and tare, and whether the object moved"
+        for sweep, (offset, deviation) in found.items()
+    ]
+
+
+def _groups(sites: Sites, extent: float) -> list[str]:
+    """Contacts in groups far apart."""
+    label = fcluster(linkage(sites.point), _GAP * extent, "distance") - 1
+    count = int(label.max()) + 1
+    sizes = np.bincount(label, weights=sites.size)
+    if count == 1 or np.sort(sizes)[-2] < max(_FEW, _SMALL * sizes.sum()):
+        return []
+    return [
+        f"contacts lie in {count} groups, more than {_GAP * extent:.3g} apart; if they are "
+        "different objects, fit each by itself"
+    ]

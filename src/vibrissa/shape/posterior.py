@@ -1,0 +1,168 @@
+"""The random surface given contacts.
+
+All contacts are used, but only some of them carry the unknowns: at these sites the level's value
+and gradient are what the rest is predicted from, and what such a prediction leaves open counts as
+noise of its own (the fully independent training conditional: Snelson & Ghahramani, NIPS 2005).
+Where every contact carries unknowns, the result is exact.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.linalg import cholesky, solve_triangular
+
+from vibrissa.shape.kernel import (
+    JET,
+    Coordinates,
+    Kernel,
+    covariance,
+    covariance_of_values,
+    variances,
+)
+from vibrissa.shape.noise import Noise, whitened
+
+_JITTER = 1e-9
+"""Added to the sites' covariance, relative to its diagonal: below what contacts resolve."""
+
+
+class Basis(NamedTuple):
+    """Sites that carry unknowns, in whitened form."""
+
+    kernel: Kernel
+    sites: Coordinates
+    root: Float[np.ndarray, "m m"]
+    """Lower Cholesky factor of their covariance."""
+
+    @classmethod
+    def of(cls, kernel: Kernel, sites: Coordinates) -> "Basis":
+        """The factor, with enough jitter to exist."""
+        whole, jitter = covariance(kernel, sites, sites), _JITTER
+        diagonal = np.diag(whole).copy()
+        while True:
+            whole[np.diag_indices(len(whole))] = diagonal * (1 + jitter)
+            try:
+                return cls(kernel, sites, cholesky(whole, lower=True, check_finite=False))
+            except np.linalg.LinAlgError:
+                jitter *= 10
+
+    def jets(self, places: Coordinates) -> Float[np.ndarray, "m rows"]:
+        """How value and gradient at places (4 rows each) depend on the unknowns."""
+        return self._solved(covariance(self.kernel, self.sites, places))
+
+    def values(self, places: Coordinates) -> Float[np.ndarray, "m n"]:
+        """How values at places depend on the unknowns."""
+        return self._solved(covariance_of_values(self.kernel, places, self.sites).T)
+
+    def _solved(self, columns: np.ndarray) -> np.ndarray:
+        return solve_triangular(self.root, columns, lower=True, check_finite=False)
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """Unknowns given data: mean, and the Cholesky factor of the precision; unknowns are independent
+    and of unit variance before any data.
+    """
+
+    basis: Basis
+    mean: Float[np.ndarray, "m"]
+    root: Float[np.ndarray, "m m"]
+
+    @cached_property
+    def weights(self) -> Float[np.ndarray, "sites 4"]:
+        """Of the sites in the mean."""
+        flat = solve_triangular(self.basis.root, self.mean, lower=True, trans=1)
+        return flat.reshape(-1, JET)
+
+    def variance(self, places: Coordinates) -> Float[np.ndarray, "n"]:
+        """Of the level at places."""
+        found = np.empty(len(places.value))
+        for start in range(0, len(found), _ROWS):
+            rows = slice(start, start + _ROWS)
+            known = self.basis.values(places.part(rows))
+            left = solve_triangular(self.root, known, lower=True, check_finite=False)
+            found[rows] = np.einsum("mn,mn->n", left, left) - np.einsum("mn,mn->n", known, known)
+        return np.maximum(found + self.basis.kernel.variance, 0.0)
+
+
+_ROWS = 2048
+"""Places at a time: some tens of MB."""
+
+
+class Data(NamedTuple):
+    """What contacts say (4 rows each) about the unknowns."""
+
+    rows: Float[np.ndarray, "m rows"]
+    """How value and gradient at the contacts depend on the unknowns."""
+    open: Float[np.ndarray, "n 4 4"]
+    """Covariance of what the unknowns leave open there."""
+    target: Float[np.ndarray, "n 4"]
+    """Value and gradient, less the mean's."""
+
+    @classmethod
+    def of(cls, basis: Basis, places: Coordinates, target: Float[np.ndarray, "n 4"]) -> "Data":
+        """Of contacts at these places."""
+        rows = basis.jets(places)
+        split = rows.reshape(len(rows), -1, JET)
+        told = np.einsum("mni,mnj->nij", split, split)
+        values, axes = np.linalg.eigh(variances(basis.kernel, places) - told)
+        rest = (axes * np.maximum(values, 0.0)[:, None]) @ np.swapaxes(axes, 1, 2)
+        return cls(rows, rest, target)
+
+
+def information(
+    data: Data, noise: Noise
+) -> tuple[Float[np.ndarray, "m m"], Float[np.ndarray, "m"]]:
+    """Precision of the unknowns given the contacts, and its product with their mean."""
+    scaled, wanted = [], []
+    for rows in noise.groups:
+        root = cholesky(noise.among(rows, data.open[rows]), lower=True, check_finite=False)
+        told = np.column_stack([data.rows[:, _columns(rows)].T, data.target[rows].ravel()])
+        told = solve_triangular(root, told, lower=True, check_finite=False)
+        scaled.append(told[:, :-1])
+        wanted.append(told[:, -1])
+    whole = np.concatenate(scaled)
+    return np.eye(whole.shape[1]) + whole.T @ whole, np.concatenate(wanted) @ whole
+
+
+def solved(
+    basis: Basis, precision: Float[np.ndarray, "m m"], pull: Float[np.ndarray, "m"]
+) -> Posterior:
+    """Unknowns of this precision."""
+    root = cholesky(precision, lower=True, check_finite=False)
+    half = solve_triangular(root, pull, lower=True, check_finite=False)
+    return Posterior(basis, solve_triangular(root, half, lower=True, trans=1), root)
+
+
+def posterior(basis: Basis, data: Data, noise: Noise) -> Posterior:
+    """Unknowns given the contacts."""
+    return solved(basis, *information(data, noise))
+
+
+def _columns(rows: Int[np.ndarray, "k"]) -> Int[np.ndarray, "columns"]:
+    return (JET * rows[:, None] + np.arange(JET)).ravel()
+
+
+def left_out(
+    found: Posterior, data: Data, noise: Noise
+) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """For each sweep, or part of a long one: its targets less their prediction from all others, the
+    covariance of that prediction, and of the errors.
+
+    With K the covariance of all data, the prediction's error is ([K⁻¹]ₛₛ)⁻¹ [K⁻¹ y]ₛ and its
+    covariance ([K⁻¹]ₛₛ)⁻¹ (Rasmussen & Williams, section 5.4.2, for groups).
+    """
+    told = []
+    for rows in noise.groups:
+        columns = _columns(rows)
+        whole = noise.among(rows, data.open[rows])
+        here = data.rows[:, columns]
+        residual = data.target[rows].ravel() - found.mean @ here
+        left = solve_triangular(found.root, here, lower=True, check_finite=False)
+        # What these rows themselves told is taken off: (R − V)⁻¹ with V the posterior covariance.
+        inside = left.T @ left
+        rest = whitened(whole - inside, np.column_stack([residual, inside]))
+        told.append((whole @ rest[:, 0], whole @ rest[:, 1:], whole))
+    return told

@@ -1,0 +1,161 @@
+"""What is assumed of a surface before it is touched, and how far its level may leave that."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.linalg import LinAlgError, cholesky, solve_triangular
+from scipy.optimize import minimize
+
+from vibrissa.shape.kernel import Coordinates, Kernel, Matern, Sum, covariance
+from vibrissa.shape.noise import Noise
+from vibrissa.shape.sites import Sites
+
+_BLUNT = 0.3
+"""Radius, relative to the ball's, within which the mean level is rounded off, as a distance has a
+kink at the centre.
+"""
+_DIRECTED = 0.1
+"""Length of a gradient below which its direction fades out: inside, where faces are equally far."""
+
+
+_ROUGH = 0.01, 0.3
+"""Deviation and length, relative to the extent, of what a surface may do besides: far from contacts
+it need not go on as it is where they are. Between neighbouring sweeps it adds a few hundredths of a
+millimetre at most, to an object of 80 mm.
+"""
+
+
+class Ball(NamedTuple):
+    """The mean level: distance from a ball that fits all contacts. It grows outwards, so that
+    nothing is expected far from them.
+    """
+
+    center: Float[np.ndarray, "3"]
+    radius: float
+
+    @classmethod
+    def of(cls, sites: Sites) -> "Ball":
+        """The ball with pᵢ − c = R nᵢ in the least-squares sense, or around the contacts' middle
+        where their normals do not point outwards.
+        """
+        point, normal = sites.point, sites.normal
+        middle, inward = point.mean(axis=0), normal.mean(axis=0)
+        spread = np.sum((normal - inward) ** 2)
+        radius = float(np.sum((point - middle) * (normal - inward)) / spread) if spread > 0 else 0.0
+        center = middle - radius * inward
+        reach = float(np.linalg.norm(point - middle, axis=1).mean())
+        if not 0.5 * reach < radius < 4 * reach:
+            radius = float(np.clip(radius, 0.5 * reach, 4 * reach))
+            center = middle - radius * inward
+        return cls(center, radius)
+
+    def at(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 4"]:
+        """Values and gradients."""
+        apart, blunt = points - self.center, _BLUNT * self.radius
+        root = np.sqrt(np.sum(apart**2, axis=1) + blunt**2)
+        value = root - np.hypot(self.radius, blunt)
+        return np.column_stack([value, apart / root[:, None]])
+
+    def curvature(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3 3"]:
+        """Second derivatives."""
+        apart, blunt = points - self.center, _BLUNT * self.radius
+        root = np.sqrt(np.sum(apart**2, axis=1) + blunt**2)[:, None, None]
+        return (np.eye(3) - apart[:, :, None] * apart[:, None] / root**2) / root
+
+
+class Folds(NamedTuple):
+    """Directions of a first surface, by which the second tells the two sides of an edge apart."""
+
+    ball: Ball
+    first: Sum
+    fold: float
+    """Length that a full turn of the direction counts for."""
+
+    def at(self, points: Float[np.ndarray, "n 3"]) -> Coordinates:
+        """Coordinates of places."""
+        places = Coordinates.of(points)
+        slope, bend = self.first.derivatives(points)
+        gradient = slope + self.ball.at(points)[:, 1:]
+        curvature = bend + self.ball.curvature(points)
+        length = np.sqrt(np.sum(gradient**2, axis=1) + _DIRECTED**2)[:, None]
+        direction = gradient / length
+        along = np.einsum("ni,nij->nj", direction, curvature)
+        turning = (curvature - direction[:, :, None] * along[:, None]) / length[:, None]
+        return places.folded(direction, turning, self.fold)
+
+
+class Scales(NamedTuple):
+    """What the evidence determines: σ and ℓ of the level, the weight of directions, and a factor of
+    the stated errors' deviations.
+    """
+
+    deviation: float
+    length: float
+    fold: float
+    noise: float
+
+    def kernel(self, extent: float) -> Kernel:
+        """Covariance function."""
+        rough = Matern(_ROUGH[0] * extent, _ROUGH[1] * extent)
+        return Kernel(Matern(self.deviation, self.length), rough)
+
+
+class Expected(NamedTuple):
+    """Log-normal prior of the scales: medians, and standard deviations of their logarithms; 0 for
+    what is fixed.
+    """
+
+    median: Scales
+    spread: Scales
+
+
+def most_likely(
+    expected: Expected,
+    start: Scales,
+    coordinates: Callable[[float], Coordinates],
+    noise: Noise,
+    target: Float[np.ndarray, "n 4"],
+    extent: float,
+) -> Scales:
+    """Scales of greatest evidence times prior, for contacts few enough for their matrix.
+
+    `coordinates` gives those of the contacts by the fold.
+    """
+    median, spread = np.log(expected.median), np.asarray(expected.spread)
+    free = spread > 0
+    errors = _whole(noise)
+
+    def loss(free_logs: np.ndarray) -> float:
+        logs = median.copy()
+        logs[free] = free_logs
+        scales = Scales(*np.exp(logs))
+        places = coordinates(scales.fold)
+        whole = covariance(scales.kernel(extent), places, places) + scales.noise**2 * errors
+        try:
+            root = cholesky(whole, lower=True, check_finite=False)
+        except LinAlgError:
+            return np.inf
+        half = solve_triangular(root, target.ravel(), lower=True, check_finite=False)
+        away = (logs - median)[free] / spread[free]
+        return float(0.5 * (half @ half + away @ away) + np.log(np.diag(root)).sum())
+
+    first = np.log(start)[free]
+    simplex = np.concatenate([first[None], first + 0.5 * np.eye(len(first))])
+    # To a twentieth of a scale and a third of a nat: far within what either is uncertain by.
+    options = {"initial_simplex": simplex, "maxfev": 40 * len(first), "xatol": 0.05, "fatol": 0.3}
+    best = minimize(loss, first, method="Nelder-Mead", options=options)
+    logs = median.copy()
+    logs[free] = best.x
+    return Scales(*np.exp(logs).tolist())
+
+
+def _whole(noise: Noise) -> np.ndarray:
+    """Covariance of all errors."""
+    size = 4 * len(noise.order)
+    whole = np.zeros((size, size))
+    for rows in noise.groups:
+        columns = (4 * rows[:, None] + np.arange(4)).ravel()
+        whole[np.ix_(columns, columns)] = noise.among(rows)
+    return whole

@@ -1,0 +1,191 @@
+"""A surface known from touch: signed distance with its uncertainty, and its mesh."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy.typing import ArrayLike
+from scipy.spatial import KDTree
+
+from vibrissa.geometry.checks import finite_array, positive
+from vibrissa.shape.level import Level
+from vibrissa.shape.mesh import ShapeMesh, extracted, lattice_of
+from vibrissa.shape.sites import Sites
+
+if TYPE_CHECKING:
+    from vibrissa.surfaces import Surface
+
+_STEEP = 0.3
+"""Least gradient that levels are divided by: inside, where faces are equally far, it vanishes."""
+_STEPS, _SETTLED = 12, 1e-5
+"""Steps towards the closest point, and the last one, relative to the extent."""
+_KNOWN = 0.01
+"""Standard deviation, relative to the extent of the contacts, below which a surface counts as seen:
+its 95 % interval is then a twenty-fifth of the object's size wide.
+"""
+_UNSURE = 0.04
+"""Deviation that an angle between faces adds, relative to the extent, per curvature: directions of
+the first surface are taken as known, and are not at edges. Squared residuals at an edge between
+sweeps (rounded block, 3 mm) were twice as large without.
+"""
+_AWAY = 1.0
+"""Deviation that a distance from all contacts adds, both relative to the extent and the distance
+cubed: curvatures of a part seen from one side are not those of the other (ellipsoid, blob).
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """A surface fitted to contacts by `fit_shape`, in their unit of length.
+
+    Attributes
+    ----------
+    level
+        The random level function behind it.
+    extent
+        Diagonal of the box around all contacts.
+    sites
+        The contacts it was fitted to, neighbours of a sweep pooled.
+    outlier
+        (n,) which of the given rows are contacts that the surface contradicts by far more than
+        their errors as stated. They hardly count.
+    warnings
+        What the contacts say against one another, one line each.
+    """
+
+    level: Level
+    extent: float
+    sites: Sites
+    outlier: Bool[np.ndarray, "given"]
+    warnings: list[str]
+
+    def __repr__(self) -> str:
+        """Return three lines: contacts, outliers and scales."""
+        used, kernel = int(self.sites.size.sum()), self.level.found.basis.kernel
+        return (
+            f"Shape from {used} contacts of {len(np.unique(self.sites.sweep))} sweeps\n"
+            f"  outliers: {self.outlier.sum()}, warnings: {len(self.warnings)}\n"
+            f"  extent: {self.extent:.3g}, length scale: {kernel.smooth.length:.3g}"
+        )
+
+    def distance(self, points: ArrayLike) -> Float[np.ndarray, "*rows"]:
+        """Signed distance of points (…, 3) from the mean surface, positive outside.
+
+        Raises
+        ------
+        ValueError
+            If a point is not finite, or the last axis is not 3.
+        """
+        return self._rows(points, self._distances)
+
+    def deviation(self, points: ArrayLike) -> Float[np.ndarray, "*rows"]:
+        """Standard deviation of the surface's place at points (…, 3) on or near it: what its
+        distance from them is uncertain by.
+        """
+        return self._rows(points, self._deviations)
+
+    def gradient(self, points: ArrayLike) -> Float[np.ndarray, "*rows 3"]:
+        """Gradient of the mean level at points (…, 3); on the surface, its direction is the outward
+        normal, and its length about 1.
+        """
+        return self._rows(points, lambda flat: self.level.jets(flat)[:, 1:])
+
+    def normal(self, points: ArrayLike) -> Float[np.ndarray, "*rows 3"]:
+        """Outward unit normals (…, 3) at points near the surface."""
+        gradient = self.gradient(points)
+        return gradient / np.linalg.norm(gradient, axis=-1, keepdims=True)
+
+    def nearest(self, points: ArrayLike) -> Float[np.ndarray, "*rows 3"]:
+        """Points of the mean surface closest to points (…, 3)."""
+        return self._rows(points, self._feet)
+
+    def mesh(self, resolution: float | None = None, *, extrapolate: bool = False) -> ShapeMesh:
+        """Triangles of the mean surface, where the contacts say something.
+
+        Parameters
+        ----------
+        resolution
+            Edge length of the cells that are cut; by default a sixtieth of the extent.
+        extrapolate
+            Whether to return the whole surface, closed unless it leaves three times the contacts'
+            box, rather than only what is seen.
+
+        Raises
+        ------
+        ValueError
+            If the resolution is not positive, or so small that there would be more than fifty
+            million cells.
+        ImportError
+            If libigl is not installed.
+        """
+        step = self.extent / 60 if resolution is None else positive(resolution, "resolution")
+        mesh = extracted(
+            self.level, self.sites.point, step, self.extent, self._deviations, _KNOWN * self.extent
+        )
+        return mesh if extrapolate else mesh.seen_part()
+
+    def surface(self, resolution: float | None = None) -> "Surface":
+        """The mean surface, closed where it was not seen, as an object to scan again.
+
+        Parameters
+        ----------
+        resolution
+            Spacing of the lattice between whose nodes its level is interpolated by cubic splines;
+            by default a fiftieth of the extent.
+        """
+        from vibrissa.surfaces import Lattice  # noqa: PLC0415
+
+        step = self.extent / 50 if resolution is None else positive(resolution, "resolution")
+        origin, values = lattice_of(self.level, self.sites.point, step, self.extent)
+        return Lattice(origin=origin, spacing=step, values=values)
+
+    def _rows(self, points: ArrayLike, function: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+        array = finite_array(points, "points", last=3)
+        found = function(array.reshape(-1, 3))
+        return found.reshape(array.shape[:-1] + found.shape[1:])
+
+    def _distances(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
+        jets = self.level.jets(points)
+        apart = np.linalg.norm(points - self._feet(points), axis=1)
+        return np.copysign(apart, jets[:, 0])
+
+    def _feet(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+        """Steps onto the tangent plane of the level surface through the last place, and along it to
+        where the point's own perpendicular meets it.
+        """
+        feet, going = points.copy(), np.arange(len(points))
+        longest = 0.1 * self.extent
+        for _ in range(_STEPS):
+            here = feet[going]
+            jets = self.level.jets(here)
+            length = np.maximum(np.linalg.norm(jets[:, 1:], axis=1), _STEEP)
+            normal = jets[:, 1:] / length[:, None]
+            apart = points[going] - here
+            along = apart - np.einsum("ni,ni->n", apart, normal)[:, None] * normal
+            onto = np.clip(jets[:, 0] / length, -longest, longest)
+            size = np.linalg.norm(along, axis=1)
+            shorter = np.minimum(1.0, longest / np.maximum(size, 1e-300))
+            moved = 0.7 * shorter[:, None] * along - onto[:, None] * normal
+            feet[going] = here + moved
+            going = going[np.linalg.norm(moved, axis=1) > _SETTLED * self.extent]
+            if not len(going):
+                break
+        return feet
+
+    def _deviations(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
+        gradient = self.level.jets(points)[:, 1:]
+        steepness = np.maximum(np.linalg.norm(gradient, axis=1), _STEEP)
+        first = self.level.folds.first if self.level.folds else self.level.total
+        bent = first.curvature(points) + self.level.ball.curvature(points)
+        sharp = np.linalg.norm(bent, axis=(1, 2)) * _UNSURE * self.extent
+        away = KDTree(self.sites.point).query(points)[0] / self.extent
+        variance = self.level.variance(points) * (1 + sharp**2)
+        return np.hypot(np.sqrt(variance) / steepness, _AWAY * away**3 * self.extent)
+
+    @cached_property
+    def closed(self) -> ShapeMesh:
+        """The whole surface at the usual resolution, whether seen or not."""
+        return self.mesh(extrapolate=True)

@@ -1,0 +1,214 @@
+"""Contacts of one or many sweeps as a surface fit uses them: sound rows only, neighbours of a sweep
+pooled, with the joint covariance of point and normal.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from vibrissa.contacts import ContactKind, Contacts, Status
+
+LEAST = 3
+"""Contacts without which there is no surface."""
+_MOST = 1500
+"""Pooled contacts, beyond which neighbours of a sweep are pooled over longer distances."""
+_FINEST = 1 / 80
+"""Shortest distance over which contacts are pooled, relative to the extent of all: a fifth of a
+millimetre on an object of 50 mm, far below what the smoother resolves.
+"""
+_WIDEST = 1 / 30
+"""Distance beyond which contacts of one sweep are not pooled, but those of several are."""
+_POINT, _NORMAL = 2e-3, 0.02
+"""Standard deviations assumed where none are given: of points, relative to the extent, and of
+normals [rad]. Only their order of magnitude counts: the fit estimates a factor for them.
+"""
+
+
+class Sites(NamedTuple):
+    """Pooled contacts (n): mean point and normal, their joint covariance, the sweep each belongs
+    to, and its place in the order of that sweep.
+    """
+
+    point: Float[np.ndarray, "n 3"]
+    normal: Float[np.ndarray, "n 3"]
+    covariance: Float[np.ndarray, "n 6 6"]
+    sweep: Int[np.ndarray, "n"]
+    order: Float[np.ndarray, "n"]
+    size: Int[np.ndarray, "n"]
+    """Contacts in each."""
+
+    def part(self, rows: Any) -> "Sites":
+        """Some of them."""
+        return Sites(*(values[rows] for values in self))
+
+
+class Gathered(NamedTuple):
+    """Rows that count as contacts, of all that were given."""
+
+    rows: Bool[np.ndarray, "given"]
+    point: Float[np.ndarray, "n 3"]
+    normal: Float[np.ndarray, "n 3"]
+    covariance: Float[np.ndarray, "n 6 6"]
+    sweep: Int[np.ndarray, "n"]
+    order: Float[np.ndarray, "n"]
+    """Number of each."""
+    known: bool
+    """Whether covariances were given, not assumed."""
+    extent: float
+    """Diagonal of the box around all points."""
+
+    def part(self, rows: Any) -> "Gathered":
+        """Some of the contacts."""
+        return self._replace(
+            point=self.point[rows],
+            normal=self.normal[rows],
+            covariance=self.covariance[rows],
+            sweep=self.sweep[rows],
+            order=self.order[rows],
+        )
+
+    def spread(self, values: np.ndarray) -> np.ndarray:
+        """Values of the contacts as values of the rows given: nothing elsewhere."""
+        rows = np.zeros(len(self.rows), dtype=values.dtype)
+        rows[self.rows] = values
+        return rows
+
+
+def gathered(contacts: Contacts | Sequence[Contacts]) -> Gathered:
+    """Sound contacts in the order given, sweeps numbered through.
+
+    Raises
+    ------
+    ValueError
+        If there are too few, or all lie in one place.
+    """
+    parts = [contacts] if isinstance(contacts, Contacts) else list(contacts)
+    for number, part in enumerate(parts):
+        if not isinstance(part, Contacts):
+            raise ValueError(
+                f"contacts[{number}] is a {type(part).__name__}; allowed are vibrissa.Contacts, "
+                "such as `smooth(found).contacts`"
+            )
+    columns = [_columns(part) for part in parts]
+    rows = np.concatenate([column[0] for column in columns] or [np.zeros(0, dtype=bool)])
+    if rows.sum() < LEAST:
+        given = f"{rows.sum()} of {len(rows)} rows hold a contact with status OK"
+        raise ValueError(f"contacts: {given}; allowed are at least {LEAST}")
+    point, normal = (np.concatenate([column[i] for column in columns]) for i in (1, 2))
+    extent = float(np.linalg.norm(np.ptp(point, axis=0)))
+    if extent == 0:
+        raise ValueError("contacts: all lie in one place; allowed are contacts that are apart")
+    joint = [_joint(part, column[0], extent) for part, column in zip(parts, columns, strict=True)]
+    sweeps, first = [], 0
+    for column in columns:
+        numbers = np.unique(column[3], return_inverse=True)[1]
+        sweeps.append(numbers + first)
+        first += int(numbers.max(initial=-1)) + 1
+    known = all(part.covariance is not None for part in parts)
+    order = np.arange(len(point), dtype=float)
+    sweep = np.concatenate(sweeps)
+    return Gathered(rows, point, normal, np.concatenate(joint), sweep, order, known, extent)
+
+
+def _columns(part: Contacts) -> tuple[np.ndarray, ...]:
+    """Which rows count, and their points, normals and sweeps."""
+    point, normal = part.point.reshape(-1, 3), part.normal.reshape(-1, 3)
+    use = np.isfinite(point).all(axis=1) & np.isfinite(normal).all(axis=1)
+    if part.kind is not None:
+        use &= part.kind.reshape(-1) != ContactKind.NONE
+    if part.status is not None:
+        use &= part.status.reshape(-1) == Status.OK
+    for spread in (part.covariance, part.normal_covariance):
+        if spread is not None:
+            use &= np.isfinite(spread).all(axis=(-2, -1)).reshape(-1)
+    sweep = np.zeros(len(point), dtype=int) if part.sweep is None else part.sweep.reshape(-1)
+    return use, point[use], normal[use], sweep[use]
+
+
+def _joint(part: Contacts, use: np.ndarray, extent: float) -> Float[np.ndarray, "n 6 6"]:
+    """Covariance of point and normal together, as far as it is given."""
+    joint = np.zeros((int(use.sum()), 6, 6))
+    given = part.covariance, part.normal_covariance
+    assumed = _POINT * extent, _NORMAL
+    for place, spread, usual in zip((slice(3), slice(3, 6)), given, assumed, strict=True):
+        if spread is None:
+            joint[:, place, place] = usual**2 * np.eye(3)
+        else:
+            joint[:, place, place] = spread.reshape(-1, 3, 3)[use]
+    if part.cross_covariance is not None:
+        cross = np.nan_to_num(part.cross_covariance.reshape(-1, 3, 3)[use])
+        joint[:, :3, 3:], joint[:, 3:, :3] = cross, np.swapaxes(cross, 1, 2)
+    # Rounding, and joint covariances of which parts were approximated separately.
+    values, axes = np.linalg.eigh(joint / (units := np.repeat([extent, 1.0], 3)) / units[:, None])
+    joint = (axes * np.maximum(values, 0.0)[:, None]) @ np.swapaxes(axes, 1, 2)
+    return joint * units * units[:, None]
+
+
+def pooled(given: Gathered) -> Sites:
+    """Neighbours of a sweep as one; where there are too many sweeps for that, neighbours of all.
+
+    The mean point of a pool lies off a curved surface by half the mean of (nᵢ − n)·(pᵢ − p), which
+    is added along the mean normal.
+    """
+    sweep = given.sweep
+    width, turn = _FINEST * given.extent, _TURN
+    while (group := _groups(sweep, given, width, turn)).max() >= _MOST:
+        if width > _WIDEST * given.extent and sweep.any():
+            sweep, width, turn = np.zeros_like(sweep), _FINEST * given.extent, _TURN
+        else:
+            width, turn = 1.3 * width, 1.3 * turn
+    size = np.bincount(group)
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        flat = values.reshape(len(values), -1).T
+        total = np.stack([np.bincount(group, column) for column in flat], axis=1) / size[:, None]
+        return total.reshape(-1, *values.shape[1:])
+
+    point, normal = mean(given.point), mean(given.normal)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    turned, apart = given.normal - normal[group], given.point - point[group]
+    point += 0.5 * mean(np.einsum("ni,ni->n", turned, apart))[:, None] * normal
+    order, covariance = mean(given.order), mean(given.covariance)
+    if sweep.any() or not given.sweep.any():
+        of = np.zeros(len(size), dtype=np.int64)
+        of[group] = given.sweep
+        return Sites(point, normal, covariance, of, order, size)
+    # Those of different sweeps are independent of one another.
+    pairs = np.unique(np.column_stack([group, given.sweep]), axis=0)
+    covariance /= np.bincount(pairs[:, 0])[:, None, None]
+    return Sites(point, normal, covariance, np.arange(len(size)), order, size)
+
+
+def single(given: Gathered) -> Sites:
+    """Contacts as they are."""
+    return Sites(*given[1:6], np.ones(len(given.point), dtype=np.int64))
+
+
+def _groups(
+    sweep: Int[np.ndarray, "n"], given: Gathered, width: float, turn: float
+) -> Int[np.ndarray, "n"]:
+    """Pool of each contact: those of a sweep in one cell of a lattice whose normals are alike."""
+    cells = np.column_stack([given.point / width, given.normal / turn])
+    cells = np.floor(cells - cells.min(axis=0)).astype(np.int64)
+    key = sweep
+    for column in cells.T:
+        # Numbered anew at each step, so that products stay small.
+        _, key = np.unique(key * (column.max() + 1) + column, return_inverse=True)
+    return key
+
+
+_TURN = 0.15
+"""Change of the normals along an axis that a pool may span: less than an edge takes."""
+
+
+def spread_out(points: Float[np.ndarray, "n k"], count: int) -> Int[np.ndarray, "rows"]:
+    """Rows of points far from one another: each is the farthest from those before."""
+    if len(points) <= count:
+        return np.arange(len(points))
+    rows, nearest = [0], np.full(len(points), np.inf)
+    while len(rows) < count:
+        nearest = np.minimum(nearest, np.sum((points - points[rows[-1]]) ** 2, axis=1))
+        rows.append(int(np.argmax(nearest)))
+    return np.sort(rows)

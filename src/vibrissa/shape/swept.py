@@ -1,0 +1,146 @@
+"""Space that is known to be empty, as a rod passed through it without touching.
+
+The level is positive at every point of such a rod. Each of these inequalities makes the random
+surface's distribution a truncated one, which expectation propagation approximates by a Gaussian of
+the same moments (Rasmussen & Williams, section 3.6; Riihimäki & Vehtari, AISTATS 2010, for
+inequalities).
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+from scipy.linalg import solve_triangular
+from scipy.spatial import KDTree
+from scipy.special import log_ndtr
+
+from vibrissa.shape.kernel import Coordinates
+from vibrissa.shape.level import Level
+from vibrissa.shape.noise import Noise
+from vibrissa.shape.posterior import Basis, Data, information, solved
+from vibrissa.shape.sites import spread_out
+
+_APART = 0.03
+"""Distance between points of rods that are used, relative to the extent: a rod says as much about
+its neighbourhood.
+"""
+_CLOSE = 0.02
+"""Distance from contacts within which rods say nothing new."""
+_SURE = 3.0
+"""Deviations from zero beyond which the contacts alone say that a point is outside."""
+_BEYOND = 0.3
+"""Distance from the box around all contacts, relative to the extent, beyond which nothing is
+expected anyway.
+"""
+_AT_ONCE, _TIMES = 60, 4
+"""Points of rods added at once, and how often."""
+_ROUNDS, _DAMPING = 8, 0.8
+"""Of expectation propagation: means settle to a hundredth of their deviations."""
+
+
+def swept_points(
+    swept: np.ndarray | Sequence[ArrayLike] | None,
+) -> Float[np.ndarray, "n 3"] | None:
+    """Points of all rods that were found whole.
+
+    Raises
+    ------
+    ValueError
+        If an array has no shape (k, m, 3).
+    """
+    if swept is None:
+        return None
+    single = isinstance(swept, np.ndarray)
+    parts = [swept] if single else list(swept)
+    points = []
+    for number, part in enumerate(parts):
+        lines = np.asarray(part, dtype=np.float64)
+        if lines.ndim != 3 or lines.shape[-1] != 3:
+            name = "swept" if single else f"swept[{number}]"
+            if lines.size:
+                raise ValueError(f"{name} has shape {lines.shape}; allowed is (k, m, 3)")
+            continue
+        points.append(lines[np.isfinite(lines).all(axis=(1, 2))].reshape(-1, 3))
+    return np.concatenate(points) if points else None
+
+
+def emptied(
+    level: Level,
+    places: Coordinates,
+    target: Float[np.ndarray, "n 4"],
+    noise: Noise,
+    points: Float[np.ndarray, "n 3"],
+    extent: float,
+) -> Level:
+    """The random surface given, besides contacts at these places, that these points are outside.
+
+    Points are added where the surface so far leaves them open, as long as there are any.
+    """
+    contacts = level.found.basis.sites.value[:, :3]
+    points = _thinned(points, contacts, extent)
+    chosen = np.zeros((0, 3))
+    for _ in range(_TIMES):
+        deviation = np.sqrt(level.variance(points)) if len(points) else np.zeros(0)
+        open_ = points[level.values(points) < _SURE * deviation] if len(points) else points
+        added = open_[spread_out(open_, _AT_ONCE)]
+        if not len(added):
+            break
+        chosen = np.unique(np.concatenate([chosen, added]), axis=0)
+        level = _given_outside(level, places, target, noise, chosen, len(contacts))
+        points = points[KDTree(chosen).query(points)[0] > 0]
+    return level
+
+
+def _thinned(
+    points: Float[np.ndarray, "n 3"], contacts: Float[np.ndarray, "m 3"], extent: float
+) -> Float[np.ndarray, "k 3"]:
+    """One of the points in each cell of a lattice, near the contacts' box but not close to a
+    contact.
+    """
+    low, high = contacts.min(axis=0), contacts.max(axis=0)
+    beyond = np.maximum(np.maximum(low - points, points - high), 0.0)
+    points = points[np.linalg.norm(beyond, axis=1) < _BEYOND * extent]
+    _, first = np.unique(np.floor(points / (_APART * extent)), axis=0, return_index=True)
+    points = points[np.sort(first)]
+    if not len(points):
+        return points
+    return points[KDTree(contacts).query(points)[0] > _CLOSE * extent]
+
+
+def _given_outside(
+    level: Level,
+    places: Coordinates,
+    target: Float[np.ndarray, "n 4"],
+    noise: Noise,
+    points: Float[np.ndarray, "k 3"],
+    carriers: int,
+) -> Level:
+    """Expectation propagation: each inequality is replaced by a Gaussian that leaves the same mean
+    and variance.
+    """
+    before, own = level.found.basis, level.places(points)
+    sites = Coordinates(
+        np.concatenate([before.sites.value[:carriers], own.value]),
+        np.concatenate([before.sites.slope[:carriers], own.slope]),
+    )
+    basis = Basis.of(before.kernel, sites)
+    precision, pull = information(Data.of(basis, places, target), noise)
+    rows, offset = basis.values(own), level.ball.at(points)[:, 0]
+    weight, push = np.zeros(len(points)), np.zeros(len(points))
+    for _ in range(_ROUNDS):
+        found = solved(basis, precision + (rows * weight) @ rows.T, pull + rows @ push)
+        left = solve_triangular(found.root, rows, lower=True, check_finite=False)
+        variance, mean = np.einsum("mk,mk->k", left, left), found.mean @ rows
+        # Without the inequality's own part.
+        alone = 1 / (1 / variance - weight)
+        center = alone * (mean / variance - push)
+        scale = np.sqrt(alone)
+        z = (center + offset) / scale
+        ratio = np.exp(-0.5 * z**2 - 0.5 * np.log(2 * np.pi) - log_ndtr(z))
+        narrowed = alone * (1 - ratio * (z + ratio))
+        moved = center + scale * ratio
+        weight += _DAMPING * (1 / narrowed - 1 / alone - weight)
+        push += _DAMPING * (moved / narrowed - center / alone - push)
+    found = solved(basis, precision + (rows * weight) @ rows.T, pull + rows @ push)
+    return Level.of(level.ball, level.folds, found)

@@ -27,7 +27,7 @@ from vibrissa.shape.outliers import (
     mostly_outliers,
     outliers_of,
 )
-from vibrissa.shape.posterior import Basis, Data, posterior
+from vibrissa.shape.posterior import Basis, Data, left_out, posterior
 from vibrissa.shape.prior import Ball, Expected, Folds, Scales, most_likely
 from vibrissa.shape.shape import Shape
 from vibrissa.shape.sites import LEAST, Gathered, Sites, gathered, pooled, single, spread_out
@@ -50,6 +50,8 @@ fixed: contacts on one side determine only its ratio to a power of the length.
 """
 _SPREAD = Scales(0.0, 0.8, 0.3, 0.0)
 """Of their logarithms."""
+_MEDIAN_SQUARE = 0.455
+"""Of a normal variable of unit variance."""
 _UNKNOWN_NOISE = 2.0
 """Spread of the noise's factor where contacts come without covariances."""
 
@@ -106,6 +108,8 @@ def fit_shape(
     sound = ~outliers_of(given, judged, first, first.curvature)
     sites = pooled(given.part(sound) if sound.sum() >= LEAST else given)
     level, data, fit = _second(_carried(part, first, sites), first, ball, expected)
+    if not given.known:
+        level, fit = _rescaled(level, data, fit)
     noise = fit.noise()
     findings = findings_of(level, data, noise, sites, given.extent)
     if lines is not None:
@@ -213,6 +217,20 @@ def _second(
     fit = fit.judged(level, data.open, alike=True)
     fit = replace(fit, curvature=level.curvature(fit.sites.point))
     return Level.of(ball, folds, posterior(level.found.basis, data, fit.noise())), data, fit
+
+
+def _rescaled(level: Level, data: Data, fit: Fitting) -> tuple[Level, Fitting]:
+    """With errors as large as each sweep's distance from the others says, where they were not
+    given: the evidence alone takes what neighbours share for the surface's own.
+    """
+    squares = [
+        missed[::JET] ** 2 / np.diag(predicted + errors)[::JET]
+        for missed, predicted, errors in left_out(level.found, data, fit.noise())
+    ]
+    factor = max(float(np.median(np.concatenate(squares)) / _MEDIAN_SQUARE) ** 0.5, 1.0)
+    fit = replace(fit, scales=fit.scales._replace(noise=fit.scales.noise * factor))
+    found = posterior(level.found.basis, data, fit.noise())
+    return Level.of(level.ball, level.folds, found), fit
 
 
 def _likely(fit: Fitting, ball: Ball, folds: Folds | None, expected: Expected) -> Scales:

@@ -138,8 +138,8 @@ def variances(kernel: Kernel, places: Coordinates) -> Float[np.ndarray, "n 4 4"]
     """Of value and gradient at each place."""
     own = np.zeros((len(places.value), JET, JET))
     own[:, 0, 0] = kernel.variance
-    _, b, _ = kernel.slopes(np.zeros(()))
-    own[:, 1:, 1:] = b * np.swapaxes(places.slope, 1, 2) @ places.slope
+    _, b, _ = kernel.slopes(np.zeros(1))
+    own[:, 1:, 1:] = b[0] * np.swapaxes(places.slope, 1, 2) @ places.slope
     return own
 
 

@@ -94,7 +94,7 @@ def _squares(
 
 def findings_of(level: Level, data: Data, noise: Noise, sites: Sites, extent: float) -> list[str]:
     """What the contacts say against one another, one line each."""
-    return _sweeps(level, data, noise, sites) + _groups(sites, extent)
+    return _sweeps(level, data, noise, sites, extent) + _groups(sites, extent)
 
 
 def mostly_outliers(given: Gathered, outlier: Bool[np.ndarray, "n"]) -> list[str]:
@@ -107,23 +107,26 @@ def mostly_outliers(given: Gathered, outlier: Bool[np.ndarray, "n"]) -> list[str
     ]
 
 
-def _sweeps(level: Level, data: Data, noise: Noise, sites: Sites) -> list[str]:
-    """Sweeps that miss the surface through all others."""
+def _sweeps(level: Level, data: Data, noise: Noise, sites: Sites, extent: float) -> list[str]:
+    """Sweeps that fit the surface through all others better when shifted as a whole."""
     found: dict[int, tuple[float, float]] = {}
     for rows, (missed, predicted, errors) in zip(
         noise.groups, left_out(level.found, data, noise), strict=True
     ):
         whole = (predicted + errors)[::JET, ::JET]
-        # The common offset of the values, weighted as least squares does.
-        weight = np.linalg.solve(whole, np.ones(len(rows)))
-        offset, deviation = weight @ missed[::JET] / weight.sum(), weight.sum() ** -0.5
-        if abs(offset) > _CONTRADICTED * deviation:
-            found[int(sites.sweep[rows[0]])] = offset, deviation
+        weighted = np.linalg.solve(whole, sites.normal[rows])
+        # A shift is determined only across the surface; any is less than the object's size.
+        precision = weighted.T @ sites.normal[rows] + np.eye(3) / extent**2
+        shift = np.linalg.solve(precision, weighted.T @ missed[::JET])
+        evidence = np.sqrt(shift @ precision @ shift)
+        size = float(np.linalg.norm(shift))
+        if evidence > _CONTRADICTED:
+            found[int(sites.sweep[rows[0]])] = size, size / evidence
     return [
-        f"sweep {sweep} contradicts the others: its contacts lie {abs(offset):.3g} "
-        f"{'outside' if offset < 0 else 'inside'} the surface through theirs, expected within "
-        f"{2 * deviation:.2g}; check its mount and tare, and whether the object moved"
-        for sweep, (offset, deviation) in found.items()
+        f"sweep {sweep} contradicts the others: they put the surface {size:.2g} away from its "
+        f"contacts, expected within {2 * deviation:.1g}; check its mount and tare, and whether the "
+        "object moved"
+        for sweep, (size, deviation) in found.items()
     ]
 
 

@@ -70,7 +70,7 @@ def emptied(
     places: Coordinates,
     target: Float[np.ndarray, "n 4"],
     noise: Noise,
-    points: Float[np.ndarray, "n 3"],
+    points: Float[np.ndarray, "k 3"],
     extent: float,
 ) -> Level:
     """The random surface given, besides contacts at these places, that these points are outside.
@@ -94,7 +94,7 @@ def emptied(
 
 def _thinned(
     points: Float[np.ndarray, "n 3"], contacts: Float[np.ndarray, "m 3"], extent: float
-) -> Float[np.ndarray, "k 3"]:
+) -> Float[np.ndarray, "thinned 3"]:
     """One of the points in each cell of a lattice, near the contacts' box but not close to a
     contact.
     """

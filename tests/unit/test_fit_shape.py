@@ -1,0 +1,228 @@
+"""Surfaces through contacts with known errors: places, normals, intervals, outliers, words."""
+
+import numpy as np
+import pytest
+from touched import on_surface, rings
+
+import vibrissa as vb
+
+ELLIPSOID = vb.surfaces.Ellipsoid(center=(0, 0, 0), semi_axes=(0.026, 0.021, 0.017))
+BLOCK = vb.surfaces.Offset(
+    vb.surfaces.Box(center=(0, 0, 0), half_extents=(0.016, 0.013, 0.012)), 0.004
+)
+
+
+def samples(surface: vb.surfaces.Surface, count: int = 400, seed: int = 1) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return on_surface(surface, 0.02 * rng.normal(size=(count, 3)) / 3**0.5 + 1e-4)
+
+
+@pytest.fixture(scope="module")
+def ellipsoid() -> vb.Shape:
+    return vb.fit_shape(rings(ELLIPSOID, np.random.default_rng(0)))
+
+
+@pytest.mark.parametrize(
+    ("surface", "mean", "normals"), [(ELLIPSOID, 0.012e-3, 0.3), (BLOCK, 0.06e-3, 1.0)]
+)
+def test_surface_is_within_its_interval(surface, mean, normals):
+    shape = vb.fit_shape(rings(surface, np.random.default_rng(3)))
+    points = samples(surface)
+    away, deviation = np.abs(shape.distance(points)), shape.deviation(points)
+    assert away.mean() < mean
+    assert 0.9 < np.mean(away < 1.96 * deviation) <= 1.0
+    assert np.median(deviation) < 0.03e-3
+    cosine = np.sum(shape.normal(points) * surface.normal(points), axis=1)
+    assert np.degrees(np.arccos(np.median(cosine))) < normals
+
+
+def test_distance_is_euclidean_far_from_the_surface(ellipsoid):
+    points = samples(ELLIPSOID, 60) * 1.5
+    exact = ELLIPSOID.distances(points)
+    np.testing.assert_allclose(ellipsoid.distance(points), exact, atol=0.1e-3)
+    assert ellipsoid.distance((0, 0, 0)) < -0.015
+    feet = ellipsoid.nearest(points)
+    np.testing.assert_allclose(ELLIPSOID.distances(feet), 0, atol=0.06e-3)
+
+
+def test_gradient_is_that_of_the_level(ellipsoid):
+    points, step = samples(ELLIPSOID, 5) * 1.02, 1e-6
+    level = ellipsoid.level
+    for axis in np.eye(3):
+        change = level.values(points + step * axis) - level.values(points - step * axis)
+        slope = ellipsoid.gradient(points) @ axis
+        np.testing.assert_allclose(change / (2 * step), slope, atol=1e-6)
+
+
+def test_mesh_lies_on_the_surface_and_is_closed(ellipsoid):
+    mesh = ellipsoid.mesh(extrapolate=True)
+    solid = mesh.to_trimesh()
+    assert solid.is_watertight
+    assert solid.is_winding_consistent
+    exact = 4 / 3 * np.pi * np.prod([0.026, 0.021, 0.017])
+    assert solid.volume == pytest.approx(exact, rel=0.01)
+    assert np.abs(ELLIPSOID.distances(mesh.vertices)).max() < 0.1e-3
+    assert np.all(ellipsoid.mesh().deviation <= 0.01 * ellipsoid.extent)
+
+
+def test_surface_can_be_scanned(ellipsoid):
+    rod = vb.Rod.cylinder(length=0.05, radius=0.25e-3, youngs_modulus=206e9)
+    trail = vb.Trail.line(start=(0.035, 0.003, -0.05), stop=(-0.035, 0.003, -0.05), count=61)
+    scan = vb.scan(rod, ellipsoid.surface(), trail)
+    exact = vb.scan(rod, ELLIPSOID, trail)
+    touching = scan.in_contact & exact.in_contact
+    assert touching.sum() > 30
+    assert np.array_equal(scan.kind, exact.kind)
+    force = scan.reactions.force[touching] - exact.reactions.force[touching]
+    assert np.abs(force).max() < 0.02 * np.abs(exact.reactions.force).max()
+    assert np.abs(ELLIPSOID.distances(scan.point[touching])).max() < 0.1e-3
+
+
+def test_outliers_are_named_and_do_no_harm():
+    rng = np.random.default_rng(8)
+    clean = rings(ELLIPSOID, rng)
+    wrong = rng.random(len(clean)) < 0.05
+    point = clean.point.copy()
+    point[wrong] += rng.normal(0, 2e-3, (wrong.sum(), 3))
+    shape = vb.fit_shape(
+        vb.Contacts(
+            point, clean.normal, clean.covariance, clean.normal_covariance, sweep=clean.sweep
+        )
+    )
+    off = wrong & (np.abs(ELLIPSOID.distances(point)) > 0.3e-3)
+    assert shape.outlier[off].mean() > 0.9
+    assert shape.outlier[~wrong].mean() < 0.01
+    assert np.abs(shape.distance(samples(ELLIPSOID))).mean() < 0.012e-3
+
+
+def test_far_from_contacts_little_is_known_and_missing_rods_say_more():
+    whole = rings(ELLIPSOID, np.random.default_rng(2), sweeps=20)
+    near = vb.fit_shape(whole[whole.point[:, 2] < 0.004])
+    points = samples(ELLIPSOID)
+    far = points[:, 2] > 0.010
+    assert np.median(near.deviation(points[far])) > 10 * np.median(near.deviation(points[~far]))
+    # Rods that pass by all around, a millimetre above the surface.
+    feet = points[points[:, 2] > 0]
+    along = np.cross(ELLIPSOID.normal(feet), (0.3, 1, 0.2))
+    along /= np.linalg.norm(along, axis=1)[:, None]
+    middle = feet + 1e-3 * ELLIPSOID.normal(feet)
+    lines = middle[:, None] + np.linspace(-0.02, 0.02, 41)[:, None] * along[:, None]
+    lines = lines[(ELLIPSOID.distances(lines) > 0).all(axis=1)]
+    known = vb.fit_shape(whole[whole.point[:, 2] < 0.004], swept=lines)
+    away = [np.abs(shape.distance(points[far])) for shape in (near, known)]
+    assert away[1].mean() < 0.7 * away[0].mean()
+    assert np.mean(away[1] < 1.96 * known.deviation(points[far])) > 0.93
+    assert (known.level.values(lines.reshape(-1, 3)) > -0.3e-3).all()
+
+
+def test_units_do_not_matter():
+    given = rings(ELLIPSOID, np.random.default_rng(4), sweeps=6)
+    scaled = vb.Contacts(
+        1000 * given.point, given.normal, 1e6 * given.covariance, given.normal_covariance,
+        sweep=given.sweep,
+    )  # fmt: skip
+    points = samples(ELLIPSOID, 50)
+    small, large = vb.fit_shape(given), vb.fit_shape(scaled)
+    np.testing.assert_allclose(
+        large.distance(1000 * points), 1000 * small.distance(points), atol=1e-4
+    )
+    np.testing.assert_allclose(
+        large.deviation(1000 * points), 1000 * small.deviation(points), rtol=1e-3
+    )
+
+
+def test_turning_the_object_turns_the_surface():
+    from scipy.spatial.transform import Rotation
+
+    given, turn = rings(ELLIPSOID, np.random.default_rng(4), sweeps=6), Rotation.random(rng=1)
+    moved = vb.Contacts(
+        turn.apply(given.point) + 0.1, turn.apply(given.normal), given.covariance,
+        turn.as_matrix() @ given.normal_covariance @ turn.as_matrix().T, sweep=given.sweep,
+    )  # fmt: skip
+    points = samples(ELLIPSOID, 50)
+    one, other = vb.fit_shape(given), vb.fit_shape(moved)
+    # Pools are cells of a lattice, which turning changes.
+    difference = other.distance(turn.apply(points) + 0.1) - one.distance(points)
+    assert np.abs(difference).max() < 0.5 * np.max(one.deviation(points))
+
+
+def test_contacts_without_covariances():
+    given = rings(ELLIPSOID, np.random.default_rng(5))
+    shape = vb.fit_shape(vb.Contacts(given.point, given.normal, sweep=given.sweep))
+    away = np.abs(shape.distance(samples(ELLIPSOID)))
+    assert away.mean() < 0.02e-3
+    # Errors that neighbours share are partly taken for the surface's own.
+    assert np.mean(away < 1.96 * shape.deviation(samples(ELLIPSOID))) > 0.75
+
+
+def test_rows_without_a_sound_contact_are_left_out():
+    given = rings(ELLIPSOID, np.random.default_rng(6), sweeps=4)
+    point, kind, status = given.point.copy(), np.ones(len(given), int), np.zeros(len(given), int)
+    point[::7], kind[1::7], status[2::7] = np.nan, vb.ContactKind.NONE, vb.Status.AMBIGUOUS
+    point[1::7] += 1.0
+    point[2::7] += 1.0
+    rows = {"covariance": given.covariance, "normal_covariance": given.normal_covariance}
+    shape = vb.fit_shape(
+        vb.Contacts(point, given.normal, **rows, sweep=given.sweep, kind=kind, status=status)
+    )
+    used = np.isfinite(point).all(axis=1) & (kind > 0) & (status == 0)
+    assert shape.sites.size.sum() == used.sum()
+    assert len(shape.outlier) == len(given)
+    assert not shape.outlier[~used].any()
+
+
+def test_a_sweep_that_contradicts_the_others_is_named():
+    given = rings(ELLIPSOID, np.random.default_rng(10))
+    moved = np.where((given.sweep == 7)[:, None], [0, 0, 0.4e-3], 0) + given.point
+    shape = vb.fit_shape(
+        vb.Contacts(
+            moved, given.normal, given.covariance, given.normal_covariance, sweep=given.sweep
+        )
+    )
+    assert [line[:7] for line in shape.warnings] == ["sweep 7"]
+    assert np.abs(shape.distance(samples(ELLIPSOID))).mean() < 0.02e-3
+
+
+def test_two_objects_are_told():
+    one = rings(ELLIPSOID, np.random.default_rng(0), sweeps=4)
+    other = vb.Contacts(
+        one.point + np.array([0.12, 0, 0]), one.normal, one.covariance, one.normal_covariance
+    )
+    assert any("2 groups" in line for line in vb.fit_shape([one, other]).warnings)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_too_few_contacts(count):
+    given = rings(ELLIPSOID, np.random.default_rng(0), sweeps=1)[:count]
+    with pytest.raises(ValueError, match=f"contacts: {count} of {count} rows .* at least 3"):
+        vb.fit_shape(given)
+
+
+def test_contacts_that_are_not_finite():
+    nothing = np.full((5, 3), np.nan)
+    with pytest.raises(ValueError, match="contacts: 0 of 5 rows hold a contact"):
+        vb.fit_shape(vb.Contacts(nothing, nothing))
+
+
+def test_contacts_in_one_place():
+    with pytest.raises(ValueError, match="all lie in one place"):
+        vb.fit_shape(vb.Contacts(np.ones((5, 3)), np.tile([0.0, 0, 1], (5, 1))))
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"length_scale": -1.0}, "length_scale = -1"),
+        ({"swept": np.zeros((4, 3))}, r"swept has shape \(4, 3\); allowed is \(k, m, 3\)"),
+        ({"swept": [np.zeros((4, 2, 2))]}, r"swept\[0\] has shape \(4, 2, 2\)"),
+    ],
+)
+def test_wrong_arguments(options, said):
+    given = rings(ELLIPSOID, np.random.default_rng(0), sweeps=1)
+    with pytest.raises(ValueError, match=said):
+        vb.fit_shape(given, **options)
+
+
+def test_resolution_that_would_take_all_memory(ellipsoid):
+    with pytest.raises(ValueError, match="resolution = 1e-05"):
+        ellipsoid.mesh(1e-5)

@@ -18,6 +18,7 @@ from vibrissa.cli.convert import convert
 from vibrissa.cli.demo import demo
 from vibrissa.cli.example import example
 from vibrissa.cli.expect import expect
+from vibrissa.cli.fit import fit
 from vibrissa.cli.init import init
 from vibrissa.cli.inspect import inspect
 from vibrissa.cli.live import live
@@ -34,6 +35,7 @@ _COMMANDS = {
         init,
         scan,
         reconstruct,
+        fit,
         view,
         inspect,
         convert,

@@ -10,6 +10,7 @@ from vibrissa.io.recordings.convert import convert_recording
 from vibrissa.io.recordings.read import inspect_recording, read_raw, read_recording
 from vibrissa.io.recordings.write import write_recording
 from vibrissa.io.setup import Setup, load_setup
+from vibrissa.io.shapes import write_shape
 
 __all__ = [
     "Case",
@@ -28,4 +29,5 @@ __all__ = [
     "write_contacts",
     "write_dataset",
     "write_recording",
+    "write_shape",
 ]

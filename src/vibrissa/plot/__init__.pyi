@@ -12,6 +12,7 @@ from .events import reactions_along
 from .reactions import reactions_over_plane
 from .recording import recording_figure
 from .scene import scene
+from .shapes import shape_figure
 from .style import journal, save, save_as
 
 __all__ = [
@@ -30,4 +31,5 @@ __all__ = [
     "save",
     "save_as",
     "scene",
+    "shape_figure",
 ]

@@ -185,15 +185,16 @@ def _strides(counts: Int[np.ndarray, "3"]) -> Int[np.ndarray, "3"]:
 def _near(
     level: Level, low: Float[np.ndarray, "3"], counts: Int[np.ndarray, "3"], step: float
 ) -> Int[np.ndarray, "cells 3"]:
-    """Cells that the zero may cross: those of coarse cells at whose middle the level is small."""
-    coarse = np.stack(
-        np.meshgrid(*[np.arange(0, n - 1, _COARSE) for n in counts], indexing="ij"), axis=-1
-    ).reshape(-1, 3)
-    middle = low + step * (coarse + 0.5 * _COARSE)
-    reach = _STEEPEST * 0.5 * np.sqrt(3) * _COARSE * step
-    coarse = coarse[np.abs(level.values(middle)) < reach]
-    inside = np.stack(np.meshgrid(*[np.arange(_COARSE)] * 3, indexing="ij"), axis=-1)
-    return (coarse[:, None] + inside.reshape(-1, 3)).reshape(-1, 3)
+    """Cells that the zero may cross: those of larger cells at whose middle the level is small."""
+    ranges = [np.arange(0, n - 1, _COARSE) for n in counts]
+    cells = np.stack(np.meshgrid(*ranges, indexing="ij"), axis=-1).reshape(-1, 3)
+    size = _COARSE
+    while size > 1:
+        reach = _STEEPEST * 0.5 * np.sqrt(3) * size * step
+        cells = cells[np.abs(level.values(low + step * (cells + 0.5 * size))) < reach]
+        size //= 2
+        cells = (cells[:, None] + size * _CORNERS).reshape(-1, 3)
+    return cells
 
 
 def _outwards(vertices: np.ndarray, faces: np.ndarray, normal: np.ndarray) -> np.ndarray:

@@ -20,7 +20,7 @@ _DIRECTED = 0.1
 """Length of a gradient below which its direction fades out: inside, where faces are equally far."""
 
 
-_ROUGH = 0.01, 0.3
+_ROUGH = 0.015, 0.3
 """Deviation and length, relative to the extent, of what a surface may do besides: far from contacts
 it need not go on as it is where they are. Between neighbouring sweeps it adds a few hundredths of a
 millimetre at most, to an object of 80 mm.

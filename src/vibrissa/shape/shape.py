@@ -31,7 +31,7 @@ _UNSURE = 0.04
 the first surface are taken as known, and are not at edges. Squared residuals at an edge between
 sweeps (rounded block, 3 mm) were twice as large without.
 """
-_AWAY = 1.0
+_AWAY = 3.0
 """Deviation that a distance from all contacts adds, both relative to the extent and the distance
 cubed: curvatures of a part seen from one side are not those of the other (ellipsoid, blob).
 """

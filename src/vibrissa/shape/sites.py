@@ -20,7 +20,7 @@ millimetre on an object of 50 mm, far below what the smoother resolves.
 """
 _WIDEST = 1 / 30
 """Distance beyond which contacts of one sweep are not pooled, but those of several are."""
-_POINT, _NORMAL = 2e-3, 0.02
+_POINT, _NORMAL = 2e-3, 0.01
 """Standard deviations assumed where none are given: of points, relative to the extent, and of
 normals [rad]. Only their order of magnitude counts: the fit estimates a factor for them.
 """

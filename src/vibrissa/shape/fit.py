@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
-from numpy.typing import ArrayLike
 
 from vibrissa.contacts import Contacts
 from vibrissa.geometry.checks import positive
@@ -59,7 +58,7 @@ _UNKNOWN_NOISE = 2.0
 def fit_shape(
     contacts: Contacts | Sequence[Contacts],
     *,
-    swept: np.ndarray | Sequence[ArrayLike] | None = None,
+    swept: np.ndarray | Sequence[np.ndarray] | None = None,
     length_scale: float | None = None,
 ) -> Shape:
     """Surface through the contacts of one or many sweeps, with its uncertainty.

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import ArrayLike
 from scipy.linalg import solve_triangular
 from scipy.spatial import KDTree
 from scipy.special import log_ndtr
@@ -40,7 +39,7 @@ _ROUNDS, _DAMPING = 8, 0.8
 
 
 def swept_points(
-    swept: np.ndarray | Sequence[ArrayLike] | None,
+    swept: np.ndarray | Sequence[np.ndarray] | None,
 ) -> Float[np.ndarray, "n 3"] | None:
     """Points of all rods that were found whole.
 

@@ -116,6 +116,8 @@ class LiveContact:
         (…, 3, 3): from sample to sample, plus what the whole sweep shares.
     covariance_noise, normal_covariance_noise
         (…, 3, 3): from sample to sample only.
+    cross_covariance
+        (…, 3, 3) of point (rows) with force direction (columns).
     sensitivity
         (…, 6, 15): as in `Reconstruction`.
     probability
@@ -135,6 +137,7 @@ class LiveContact:
     normal_covariance: Matrices
     covariance_noise: Matrices
     normal_covariance_noise: Matrices
+    cross_covariance: Matrices
     sensitivity: Float[np.ndarray, "*rows 6 15"]
     probability: Numbers
     status: Int[np.ndarray, "*rows"] | Status

@@ -28,7 +28,7 @@ from .io import (
 from .reactions import Reactions
 from .rod import Loads, RestShape, Rod, Section, Support, Thermal
 from .sensor import Sensor
-from .shape import Shape, ShapeMesh, fit_shape
+from .shape import Location, Pose, Shape, ShapeMesh, fit_shape, locate
 from .tolerances import Tolerances
 from .trail import Trail
 from .viewer import view
@@ -48,7 +48,9 @@ __all__ = [
     "FrictionEstimate",
     "LiveContact",
     "Loads",
+    "Location",
     "Motion",
+    "Pose",
     "Reactions",
     "Reconstruction",
     "RecordingWarning",
@@ -78,6 +80,7 @@ __all__ = [
     "live",
     "load_case",
     "load_setup",
+    "locate",
     "plot",
     "read_contacts",
     "read_recording",

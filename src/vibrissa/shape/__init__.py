@@ -2,7 +2,8 @@
 
 from vibrissa.shape.coverage import coverage
 from vibrissa.shape.fit import fit_shape
+from vibrissa.shape.locate import Location, Pose, locate
 from vibrissa.shape.mesh import ShapeMesh
 from vibrissa.shape.shape import Shape
 
-__all__ = ["Shape", "ShapeMesh", "coverage", "fit_shape"]
+__all__ = ["Location", "Pose", "Shape", "ShapeMesh", "coverage", "fit_shape", "locate"]

@@ -1,0 +1,134 @@
+"""Poses of known objects from a few contacts, from a cold start: where they are determined, how well,
+and what symmetry leaves open.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+from touched import NORMAL, POINT, on_surface
+
+import vibrissa as vb
+
+ELLIPSOID = vb.surfaces.Ellipsoid(center=(0, 0, 0), semi_axes=(0.026, 0.021, 0.017))
+MUG = Path(__file__).parents[2] / "examples/meshes/mug.ply"
+
+
+def touched(
+    surface: vb.surfaces.Surface, points: np.ndarray, rng: np.random.Generator
+) -> tuple[vb.Contacts, Rotation, np.ndarray]:
+    """Contacts on an object in a random pose, with errors, and that pose."""
+    points = on_surface(surface, points)
+    turn, shift, count = Rotation.random(rng=rng), rng.normal(0, 0.05, 3), len(points)
+    normal = turn.apply(surface.normal(points)) + NORMAL * rng.normal(size=(count, 3))
+    contacts = vb.Contacts(
+        turn.apply(points) + shift + POINT * rng.normal(size=(count, 3)),
+        normal / np.linalg.norm(normal, axis=1)[:, None],
+        np.tile(POINT**2 * np.eye(3), (count, 1, 1)),
+        np.tile(NORMAL**2 * np.eye(3), (count, 1, 1)),
+    )
+    return contacts, turn, shift
+
+
+def around(rng: np.random.Generator, count: int) -> np.ndarray:
+    return 0.02 * rng.normal(size=(count, 3)) / 3**0.5
+
+
+def motion(found: vb.Location, pose: vb.Pose, turn: Rotation, shift: np.ndarray) -> np.ndarray:
+    """From a pose found to the true one, about the middle of the contacts."""
+    between = turn * pose.rotation.inv()
+    moved = between.apply(found.middle - pose.translation) + shift - found.middle
+    return np.concatenate([between.as_rotvec(), moved])
+
+
+def nearest(found: vb.Location, turn: Rotation, shift: np.ndarray) -> tuple[vb.Pose, np.ndarray]:
+    away = [motion(found, pose, turn, shift) for pose in found.poses]
+    best = int(np.argmin([np.linalg.norm(each[:3]) for each in away]))
+    return found.poses[best], away[best]
+
+
+def test_the_four_poses_of_an_ellipsoid_and_their_errors():
+    rng, squares = np.random.default_rng(0), []
+    for _ in range(6):
+        contacts, turn, shift = touched(ELLIPSOID, around(rng, 12), rng)
+        found = vb.locate(ELLIPSOID, contacts)
+        assert len(found.poses) == 4
+        assert np.ptp([pose.misfit for pose in found.poses]) < 1e-3
+        pose, away = nearest(found, turn, shift)
+        assert not len(pose.free)
+        squares.append(away @ np.linalg.solve(pose.covariance, away))
+        assert not found.warnings
+    assert chi2.cdf(np.sum(squares), 36) < 0.999
+    assert max(squares) < chi2.ppf(0.9999, 6)
+
+
+def test_a_mug_has_one_pose():
+    mug = vb.surfaces.Mesh.load(MUG, scale=1e-3)
+    rng = np.random.default_rng(1)
+    handle = np.column_stack(
+        [np.full(4, 0.034), rng.uniform(-0.004, 0.004, 4), np.linspace(0.014, 0.03, 4)]
+    )
+    angle = np.linspace(0.7, 5.6, 8)
+    wall = np.column_stack(
+        [0.023 * np.cos(angle), 0.023 * np.sin(angle), np.linspace(0.004, 0.04, 8)]
+    )
+    wall[:2, 2], wall[:2, :2] = -0.001, 0.3 * wall[:2, :2]
+    contacts, turn, shift = touched(mug, np.concatenate([handle, wall]), rng)
+    found = vb.locate(mug, contacts)
+    assert len(found.poses) == 1
+    pose, away = found.poses[0], motion(found, found.poses[0], turn, shift)
+    assert not len(pose.free)
+    assert np.degrees(np.linalg.norm(away[:3])) < 0.5
+    assert np.linalg.norm(away[3:]) < 0.1e-3
+    assert away @ np.linalg.solve(pose.covariance, away) < chi2.ppf(0.9999, 6)
+    np.testing.assert_allclose(found.placed.distances(contacts.point), 0, atol=5 * POINT)
+
+
+def test_a_ball_may_turn_freely():
+    ball = vb.surfaces.Sphere(center=(0.01, 0, 0), radius=0.02)
+    rng = np.random.default_rng(2)
+    contacts, turn, shift = touched(ball, around(rng, 12) + [0.01, 0, 0], rng)
+    found = vb.locate(ball, contacts)
+    assert len(found.poses) == 1
+    assert len(found.poses[0].free) == 3
+    center = found.rotation.apply([0.01, 0, 0]) + found.translation
+    np.testing.assert_allclose(center, turn.apply([0.01, 0, 0]) + shift, atol=3 * POINT)
+
+
+def test_a_rod_may_turn_about_its_axis_and_end_for_end():
+    rod = vb.surfaces.Capsule(center=(0, 0, 0), axis=(0, 0, 1), radius=0.01, length=0.04)
+    rng = np.random.default_rng(3)
+    points = np.concatenate([around(rng, 8), [[0.003, 0.001, 0.03], [0.002, -0.004, -0.03]]])
+    contacts, turn, shift = touched(rod, points, rng)
+    found = vb.locate(rod, contacts)
+    assert len(found.poses) == 2
+    assert [len(pose.free) for pose in found.poses] == [1, 1]
+    axis, true = found.rotation.apply([0, 0, 1]), turn.apply([0, 0, 1])
+    assert abs(axis @ true) > np.cos(0.01)
+    np.testing.assert_allclose(found.translation, shift, atol=4 * POINT)
+    # The free motion is a turn about the axis.
+    np.testing.assert_allclose(np.abs(found.poses[0].free[0, :3] @ axis), 1, atol=0.02)
+
+
+def test_another_object_is_told():
+    rng = np.random.default_rng(4)
+    contacts, _, _ = touched(ELLIPSOID, around(rng, 20), rng)
+    other = vb.surfaces.Ellipsoid(center=(0, 0, 0), semi_axes=(0.026, 0.021, 0.020))
+    found = vb.locate(other, contacts)
+    assert any("another object" in line for line in found.warnings)
+
+
+def test_too_few_contacts():
+    rng = np.random.default_rng(5)
+    contacts, _, _ = touched(ELLIPSOID, around(rng, 2), rng)
+    with pytest.raises(ValueError, match="at least 3"):
+        vb.locate(ELLIPSOID, contacts)
+
+
+def test_an_object_far_from_its_origin():
+    rng = np.random.default_rng(6)
+    contacts, _, _ = touched(ELLIPSOID, around(rng, 8), rng)
+    with pytest.raises(ValueError, match="nothing of it is near its origin"):
+        vb.locate(vb.surfaces.Sphere(center=(1e6, 0, 0), radius=0.02), contacts)

@@ -142,6 +142,11 @@ def locate(surface: Surface, contacts: Contacts | Sequence[Contacts], *, seed: i
         origin.
     ImportError
         If the libraries of `vibrissa[mesh]` are not installed.
+
+    Notes
+    -----
+    Covariances are linear: they understate what is left open where no contact is on the part that
+    tells poses apart, such as a mug's handle (mechanics.md, "Where a known object is").
     """
     given = gathered(contacts)
     sampled = _samples(surface, given.extent, np.random.default_rng(seed))

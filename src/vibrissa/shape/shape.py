@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -184,8 +183,3 @@ class Shape:
         away = KDTree(self.sites.point).query(points)[0] / self.extent
         variance = self.level.variance(points) * (1 + sharp**2)
         return np.hypot(np.sqrt(variance) / steepness, _AWAY * away**3 * self.extent)
-
-    @cached_property
-    def closed(self) -> ShapeMesh:
-        """The whole surface at the usual resolution, whether seen or not."""
-        return self.mesh(extrapolate=True)

@@ -146,7 +146,7 @@ class Rod(Described):
         self._check_bore()
         if self.yield_strain is not None and self.radius is None:
             raise ValueError(
-                f"yield_strain = {self.yield_strain}: needs radius, since bending strain is "
+                f"yield_strain = {self.yield_strain}: allowed only with radius, since bending strain is "
                 "radius times curvature"
             )
         # What does nothing is left out, so that the rod is as plain as it can be.

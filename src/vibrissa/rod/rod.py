@@ -146,8 +146,8 @@ class Rod(Described):
         self._check_bore()
         if self.yield_strain is not None and self.radius is None:
             raise ValueError(
-                f"yield_strain = {self.yield_strain}: allowed only with radius, since bending strain is "
-                "radius times curvature"
+                f"yield_strain = {self.yield_strain}: needs radius, since bending strain is "
+                "radius times curvature; allowed is a rod with both"
             )
         # What does nothing is left out, so that the rod is as plain as it can be.
         if isinstance(self.rest, Polynomial) and not len(self.rest.coefficients):

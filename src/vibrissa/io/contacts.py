@@ -105,7 +105,7 @@ def write_contacts(
         ".mcap": lambda: _write_mcap(file, found),
         ".nc": lambda: write_dataset(file, found.to_dataset()),
     }
-    return _written(file, writers[_suffix(file)])
+    return written(file, writers[_suffix(file)])
 
 
 def _write_mat(file: Path, table: "pandas.DataFrame") -> None:
@@ -130,10 +130,11 @@ def write_dataset(path: str | Path, dataset: "xarray.Dataset") -> Path:
         If the suffix is not .nc, or the file cannot be written.
     """
     file = checked_output(path, (".nc",))
-    return _written(file, lambda: dataset.to_netcdf(file, engine="h5netcdf"))
+    return written(file, lambda: dataset.to_netcdf(file, engine="h5netcdf"))
 
 
-def _written(file: Path, write: Callable[[], object]) -> Path:
+def written(file: Path, write: Callable[[], object]) -> Path:
+    """Call what writes a file; raise InputError for whatever keeps it from being written."""
     try:
         write()
     except ImportError as error:

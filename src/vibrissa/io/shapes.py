@@ -1,12 +1,11 @@
 """Meshes of fitted surfaces, in the format that the suffix says."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from vibrissa.files import InputError
-from vibrissa.io.contacts import checked_output
+from vibrissa.io.contacts import checked_output, written
 from vibrissa.shape import ShapeMesh
 
 SHAPE_SUFFIXES = (".ply", ".stl", ".glb")
@@ -28,19 +27,8 @@ def write_shape(path: str | Path, mesh: ShapeMesh) -> Path:
     file = checked_output(path, SHAPE_SUFFIXES)
     if not len(mesh.faces):
         raise InputError(f"{file}: the mesh has no triangle; allowed is a surface that was touched")
-    write: Callable[[Path, ShapeMesh], object] = (
-        _write_ply if file.suffix.lower() == ".ply" else _write_other
-    )
-    try:
-        write(file, mesh)
-    except ImportError as error:
-        raise InputError(f"{file}: {error}") from error
-    except OSError as error:
-        raise InputError(
-            f"{file}: cannot be written ({error.strerror or error}); "
-            "allowed is a file that can be written"
-        ) from error
-    return file
+    write = _write_ply if file.suffix.lower() == ".ply" else _write_other
+    return written(file, lambda: write(file, mesh))
 
 
 def _write_ply(file: Path, mesh: ShapeMesh) -> None:

@@ -96,7 +96,7 @@ class Coordinates(NamedTuple):
 
 
 def differences(left: Coordinates, right: Coordinates) -> tuple[np.ndarray, np.ndarray]:
-    """Z − z' (n, m, k) and its square (n, m)."""
+    """Differences z − z' (n, m, k) of coordinates, and their squares (n, m)."""
     apart = left.value[:, None] - right.value[None]
     return apart, np.einsum("nmk,nmk->nm", apart, apart)
 

@@ -32,7 +32,9 @@ _PAIRS, _MATCHES = 12, 4000
 _STARTS = 60
 """Poses that are improved."""
 _STEPS, _SETTLED = 30, 1e-8
+"""Most steps, and the relative gain of the misfit below which all poses have settled."""
 _DAMPING, _RIDGE = 1e-3, 1e-9
+"""First damping, relative to each unknown's information, and to that of all for what is free."""
 _LIKELY = 12.0
 """Squared residual above that of the best pose, in stated errors, up to which a pose fits too."""
 _FREE = 1e-6
@@ -116,7 +118,7 @@ class Location:
         return self.surface.placed(self.rotation, self.translation)
 
 
-def locate(surface: Surface, contacts: Contacts | Sequence[Contacts], *, seed: int = 0) -> Location:
+def locate(surface: Surface, contacts: Contacts | Sequence[Contacts]) -> Location:
     """Pose of a known object from a few contacts with normals, without a first guess.
 
     Parameters
@@ -126,8 +128,6 @@ def locate(surface: Surface, contacts: Contacts | Sequence[Contacts], *, seed: i
     contacts
         With covariances, best `vibrissa.smooth(found).contacts`; those of a sweep are taken as
         independent, so that a few spread over the object say as much as all.
-    seed
-        Of the points that the object is sampled at.
 
     Returns
     -------
@@ -149,7 +149,7 @@ def locate(surface: Surface, contacts: Contacts | Sequence[Contacts], *, seed: i
     tells poses apart, such as a mug's handle (mechanics.md, "Where a known object is").
     """
     given = gathered(contacts)
-    sampled = _samples(surface, given.extent, np.random.default_rng(seed))
+    sampled = _samples(surface, given.extent, np.random.default_rng(0))
     found = _improved(surface, given, _starts(given, sampled))
     best = min(each.misfit for each in found)
     likely = sorted((f for f in found if f.misfit < best + _LIKELY), key=lambda f: f.misfit)

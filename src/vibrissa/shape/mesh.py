@@ -23,6 +23,7 @@ _MARGIN, _WIDER, _WIDEST = 0.12, 0.35, 3
 surface leaves it, and how often.
 """
 _MOST = 50_000_000
+"""Nodes of a lattice: half a gigabyte of values."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -101,7 +101,9 @@ def _errors(
     curvature: Float[np.ndarray, "n 3 3"],
     extent: float,
 ) -> tuple[Float[np.ndarray, "n 4 6"], Float[np.ndarray, "n 4 4"]]:
-    """Factors of the errors, and what is added to them."""
+    """Factors of the errors, and what is added to them. Joint covariances whose parts were
+    approximated separately may be indefinite; the nearest that is not counts.
+    """
     rows = np.zeros((len(normal), JET, 6))
     rows[:, 0, :3], rows[:, 1:, :3], rows[:, 1:, 3:] = -normal, -curvature, np.eye(3)
     values, axes = np.linalg.eigh(covariance)
@@ -116,6 +118,8 @@ def _ends(sites: Sites, reach: float) -> Float[np.ndarray, "n"]:
     """Factor of the deviations: larger at starts and ends of sweeps."""
     factor = np.ones(len(sites.order))
     for rows in _sweeps(sites):
+        if len(rows) == 1:  # contacts that belong to no sweep, or pools of several
+            continue
         order = sites.order[rows]
         factor[rows] += _DOUBT * np.exp(-np.minimum(order - order[0], order[-1] - order) / reach)
     return factor
@@ -135,6 +139,11 @@ def _chunks(sites: Sites) -> list[Int[np.ndarray, "k"]]:
     return [
         part for rows in _sweeps(sites) for part in np.array_split(rows, -(-len(rows) // _MOST))
     ]
+
+
+def columns_of(rows: Int[np.ndarray, "k"]) -> Int[np.ndarray, "columns"]:
+    """Where value and gradient at some sites stand among those at all."""
+    return (JET * rows[:, None] + np.arange(JET)).ravel()
 
 
 def whitened(whole: np.ndarray, columns: np.ndarray) -> np.ndarray:

@@ -15,6 +15,7 @@ from vibrissa.shape.sites import Gathered, Sites
 
 Curvature = Callable[[Float[np.ndarray, "n 3"]], Float[np.ndarray, "n 3 3"]]
 _ROWS = 8192
+"""Contacts at a time: some tens of MB."""
 _GROSS = 30.0
 """Squared residual, in stated errors, above which a contact is an outlier."""
 _OFF, _TILTED = 5e-4, 0.03

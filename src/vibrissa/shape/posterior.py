@@ -11,7 +11,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from scipy.linalg import cholesky, solve_triangular
 
 from vibrissa.shape.kernel import (
@@ -22,7 +22,7 @@ from vibrissa.shape.kernel import (
     covariance_of_values,
     variances,
 )
-from vibrissa.shape.noise import Noise, whitened
+from vibrissa.shape.noise import Noise, columns_of, whitened
 
 _JITTER = 1e-9
 """Added to the sites' covariance, relative to its diagonal: below what contacts resolve."""
@@ -119,7 +119,7 @@ def information(
     scaled, wanted = [], []
     for rows in noise.groups:
         root = cholesky(noise.among(rows, data.open[rows]), lower=True, check_finite=False)
-        told = np.column_stack([data.rows[:, _columns(rows)].T, data.target[rows].ravel()])
+        told = np.column_stack([data.rows[:, columns_of(rows)].T, data.target[rows].ravel()])
         told = solve_triangular(root, told, lower=True, check_finite=False)
         scaled.append(told[:, :-1])
         wanted.append(told[:, -1])
@@ -141,10 +141,6 @@ def posterior(basis: Basis, data: Data, noise: Noise) -> Posterior:
     return solved(basis, *information(data, noise))
 
 
-def _columns(rows: Int[np.ndarray, "k"]) -> Int[np.ndarray, "columns"]:
-    return (JET * rows[:, None] + np.arange(JET)).ravel()
-
-
 def left_out(
     found: Posterior, data: Data, noise: Noise
 ) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
@@ -156,7 +152,7 @@ def left_out(
     """
     told = []
     for rows in noise.groups:
-        columns = _columns(rows)
+        columns = columns_of(rows)
         whole = noise.among(rows, data.open[rows])
         here = data.rows[:, columns]
         residual = data.target[rows].ravel() - found.mean @ here

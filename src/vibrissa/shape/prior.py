@@ -8,8 +8,8 @@ from jaxtyping import Float
 from scipy.linalg import LinAlgError, cholesky, solve_triangular
 from scipy.optimize import minimize
 
-from vibrissa.shape.kernel import Coordinates, Kernel, Matern, Sum, covariance
-from vibrissa.shape.noise import Noise
+from vibrissa.shape.kernel import JET, Coordinates, Kernel, Matern, Sum, covariance
+from vibrissa.shape.noise import Noise, columns_of
 from vibrissa.shape.sites import Sites
 
 _BLUNT = 0.3
@@ -18,8 +18,6 @@ kink at the centre.
 """
 _DIRECTED = 0.1
 """Length of a gradient below which its direction fades out: inside, where faces are equally far."""
-
-
 _ROUGH = 0.015, 0.3
 """Deviation and length, relative to the extent, of what a surface may do besides: far from contacts
 it need not go on as it is where they are. Between neighbouring sweeps it adds a few hundredths of a
@@ -41,14 +39,14 @@ class Ball(NamedTuple):
         where their normals do not point outwards.
         """
         point, normal = sites.point, sites.normal
-        middle, inward = point.mean(axis=0), normal.mean(axis=0)
-        spread = np.sum((normal - inward) ** 2)
-        radius = float(np.sum((point - middle) * (normal - inward)) / spread) if spread > 0 else 0.0
-        center = middle - radius * inward
+        middle, facing = point.mean(axis=0), normal.mean(axis=0)
+        spread = np.sum((normal - facing) ** 2)
+        radius = float(np.sum((point - middle) * (normal - facing)) / spread) if spread > 0 else 0.0
+        center = middle - radius * facing
         reach = float(np.linalg.norm(point - middle, axis=1).mean())
         if not 0.5 * reach < radius < 4 * reach:
             radius = float(np.clip(radius, 0.5 * reach, 4 * reach))
-            center = middle - radius * inward
+            center = middle - radius * facing
         return cls(center, radius)
 
     def at(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 4"]:
@@ -153,9 +151,9 @@ def most_likely(
 
 def _whole(noise: Noise) -> np.ndarray:
     """Covariance of all errors."""
-    size = 4 * len(noise.order)
+    size = JET * len(noise.order)
     whole = np.zeros((size, size))
     for rows in noise.groups:
-        columns = (4 * rows[:, None] + np.arange(4)).ravel()
+        columns = columns_of(rows)
         whole[np.ix_(columns, columns)] = noise.among(rows)
     return whole

@@ -82,23 +82,27 @@ class Shape:
 
     def deviation(self, points: ArrayLike) -> Float[np.ndarray, "*rows"]:
         """Standard deviation of the surface's place at points (…, 3) on or near it: what its
-        distance from them is uncertain by.
+        distance from them is uncertain by. Raises ValueError as `distance` does.
         """
         return self._rows(points, self._deviations)
 
     def gradient(self, points: ArrayLike) -> Float[np.ndarray, "*rows 3"]:
         """Gradient of the mean level at points (…, 3); on the surface, its direction is the outward
-        normal, and its length about 1.
+        normal, and its length about 1. Raises ValueError as `distance` does.
         """
         return self._rows(points, lambda flat: self.level.jets(flat)[:, 1:])
 
     def normal(self, points: ArrayLike) -> Float[np.ndarray, "*rows 3"]:
-        """Outward unit normals (…, 3) at points near the surface."""
+        """Outward unit normals (…, 3) at points (…, 3) near the surface. Raises ValueError as
+        `distance` does.
+        """
         gradient = self.gradient(points)
         return gradient / np.linalg.norm(gradient, axis=-1, keepdims=True)
 
     def nearest(self, points: ArrayLike) -> Float[np.ndarray, "*rows 3"]:
-        """Points of the mean surface closest to points (…, 3)."""
+        """Points (…, 3) of the mean surface closest to points (…, 3). Raises ValueError as
+        `distance` does.
+        """
         return self._rows(points, self._feet)
 
     def mesh(self, resolution: float | None = None, *, extrapolate: bool = False) -> ShapeMesh:
@@ -134,6 +138,12 @@ class Shape:
         resolution
             Spacing of the lattice between whose nodes its level is interpolated by cubic splines;
             by default a fiftieth of the extent.
+
+        Raises
+        ------
+        ValueError
+            If the resolution is not positive, or so small that there would be more than fifty
+            million nodes.
         """
         from vibrissa.surfaces import Lattice  # noqa: PLC0415
 

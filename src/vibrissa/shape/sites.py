@@ -15,8 +15,8 @@ LEAST = 3
 _MOST = 1500
 """Pooled contacts, beyond which neighbours of a sweep are pooled over longer distances."""
 _FINEST = 1 / 80
-"""Shortest distance over which contacts are pooled, relative to the extent of all: a fifth of a
-millimetre on an object of 50 mm, far below what the smoother resolves.
+"""Shortest distance over which contacts are pooled, relative to the extent of all: a millimetre on
+a ball of 50 mm, half of what errors of smoothed contacts are alike over.
 """
 _WIDEST = 1 / 30
 """Distance beyond which contacts of one sweep are not pooled, but those of several are."""
@@ -140,10 +140,7 @@ def _joint(part: Contacts, use: np.ndarray, extent: float) -> Float[np.ndarray, 
     if part.cross_covariance is not None:
         cross = np.nan_to_num(part.cross_covariance.reshape(-1, 3, 3)[use])
         joint[:, :3, 3:], joint[:, 3:, :3] = cross, np.swapaxes(cross, 1, 2)
-    # Rounding, and joint covariances of which parts were approximated separately.
-    values, axes = np.linalg.eigh(joint / (units := np.repeat([extent, 1.0], 3)) / units[:, None])
-    joint = (axes * np.maximum(values, 0.0)[:, None]) @ np.swapaxes(axes, 1, 2)
-    return joint * units * units[:, None]
+    return joint
 
 
 def pooled(given: Gathered) -> Sites:

@@ -35,7 +35,7 @@ expected anyway.
 _AT_ONCE, _TIMES = 60, 4
 """Points of rods added at once, and how often."""
 _ROUNDS, _DAMPING = 8, 0.8
-"""Of expectation propagation: means settle to a hundredth of their deviations."""
+"""Of expectation propagation: distances settle to 0.02 of their deviations."""
 
 
 def swept_points(

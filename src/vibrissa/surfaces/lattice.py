@@ -12,6 +12,7 @@ from vibrissa.geometry.checks import finite_array, positive
 from vibrissa.surfaces.base import Point, Scalar, Surface
 
 _LEAST = 4
+"""Nodes that a cubic takes."""
 
 
 class Lattice(Surface):

@@ -18,6 +18,8 @@ _FINEST = 1 / 80
 """Shortest distance over which contacts are pooled, relative to the extent of all: a millimetre on
 a ball of 50 mm, half of what errors of smoothed contacts are alike over.
 """
+_ALIKE = 2.0
+"""What errors of smoothed contacts are alike over, in that distance."""
 _WIDEST = 1 / 30
 """Distance beyond which contacts of one sweep are not pooled, but those of several are."""
 _POINT, _NORMAL = 2e-3, 0.01
@@ -172,9 +174,11 @@ def pooled(given: Gathered) -> Sites:
         of = np.zeros(len(size), dtype=np.int64)
         of[group] = given.sweep
         return Sites(point, normal, covariance, of, order, size)
-    # Those of different sweeps are independent of one another.
+    # Those of different sweeps are independent of one another; pools of neighbouring places share
+    # their sweeps' errors, but are taken as independent.
     pairs = np.unique(np.column_stack([group, given.sweep]), axis=0)
-    covariance /= np.bincount(pairs[:, 0])[:, None, None]
+    alike = 1 + 2 * _ALIKE * _FINEST * given.extent / width
+    covariance *= alike / np.bincount(pairs[:, 0])[:, None, None]
     return Sites(point, normal, covariance, np.arange(len(size)), order, size)
 
 

@@ -28,7 +28,19 @@ from .io import (
 from .reactions import Reactions
 from .rod import Loads, RestShape, Rod, Section, Support, Thermal
 from .sensor import Sensor
-from .shape import Location, Pose, Shape, ShapeMesh, fit_shape, locate
+from .shape import (
+    Comparison,
+    Location,
+    Occupancy,
+    Pose,
+    Shape,
+    ShapeErrors,
+    ShapeMesh,
+    compare,
+    fit_shape,
+    locate,
+    shape_errors,
+)
 from .tolerances import Tolerances
 from .trail import Trail
 from .viewer import view
@@ -38,6 +50,7 @@ __all__ = [
     "CalibrationError",
     "Case",
     "CausalSmoother",
+    "Comparison",
     "ContactErrors",
     "ContactKind",
     "Contacts",
@@ -50,6 +63,7 @@ __all__ = [
     "Loads",
     "Location",
     "Motion",
+    "Occupancy",
     "Pose",
     "Reactions",
     "Reconstruction",
@@ -61,6 +75,7 @@ __all__ = [
     "Sensor",
     "Setup",
     "Shape",
+    "ShapeErrors",
     "ShapeMesh",
     "Smoothing",
     "Status",
@@ -71,6 +86,7 @@ __all__ = [
     "Trail",
     "__version__",
     "calibrate",
+    "compare",
     "contact_errors",
     "equilibria",
     "estimate_friction",
@@ -88,6 +104,7 @@ __all__ = [
     "rods",
     "scan",
     "shape",
+    "shape_errors",
     "smooth",
     "surfaces",
     "view",

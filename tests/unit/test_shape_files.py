@@ -1,7 +1,9 @@
 """Surfaces as files and figures, and `vibrissa fit`."""
 
 import json
+from base64 import b64decode
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -38,6 +40,15 @@ def contacts(tmp_path: Path) -> list[Path]:
     return files
 
 
+@pytest.fixture(scope="module")
+def comparison() -> vb.Comparison:
+    """With a model that is larger above and smaller below."""
+    shape = vb.fit_shape(rings(BALL, np.random.default_rng(0), sweeps=8))
+    return vb.compare(
+        shape, vb.surfaces.Sphere(center=(0, 0, 0.5e-3), radius=0.02), resolution=0.002
+    )
+
+
 def test_ply_holds_places_normals_and_deviations(mesh, tmp_path):
     read = PlyData.read(str(vb.io.write_shape(tmp_path / "x.ply", mesh)))
     vertex = read["vertex"]
@@ -61,6 +72,76 @@ def test_other_formats_hold_the_same_triangles(mesh, tmp_path, suffix):
         np.testing.assert_allclose(deviation, mesh.deviation, rtol=1e-6)
 
 
+def test_ply_of_a_comparison_is_coloured(comparison, tmp_path):
+    read = PlyData.read(str(vb.io.write_shape(tmp_path / "x.ply", comparison)))
+    vertex = read["vertex"]
+    for name in ("distance", "deviation", "p_value", "significant"):
+        np.testing.assert_array_equal(vertex[name], getattr(comparison, name))
+    assert vertex["red"].dtype == np.uint8
+    above = vertex["z"] > 0.015
+    # The model reaches higher: too little material above, too much below.
+    assert (vertex["distance"][above] < 0).all()
+    assert (vertex["blue"][above].astype(int) > vertex["red"][above]).all()
+    below = vertex["z"] < -0.015
+    assert (vertex["red"][below].astype(int) > vertex["blue"][below]).all()
+
+
+def test_gltf_of_a_comparison_is_coloured(comparison, tmp_path):
+    import trimesh
+
+    read = trimesh.load(vb.io.write_shape(tmp_path / "x.glb", comparison), force="mesh")
+    np.testing.assert_array_equal(read.visual.vertex_colors[:, :3], comparison.colours())
+    found = read.vertex_attributes["_DISTANCE"].ravel()
+    np.testing.assert_allclose(found, comparison.distance, rtol=1e-6)
+    solid = trimesh.load(vb.io.write_shape(tmp_path / "x.stl", comparison))
+    assert len(solid.faces) == len(comparison.mesh.faces)
+
+
+def test_vtp_holds_triangles_and_point_data(comparison, mesh, tmp_path):
+    """As VTK's file formats are described: each array in base64, its bytes in front."""
+    for given, fields in (
+        (comparison, ("distance", "deviation", "p_value", "significant")),
+        (mesh, ("deviation", "seen")),
+    ):
+        own = given.mesh if isinstance(given, vb.Comparison) else given
+        root = ElementTree.parse(vb.io.write_shape(tmp_path / "x.vtp", given)).getroot()
+        piece = root.find("PolyData/Piece")
+        assert piece is not None
+        assert piece.attrib["NumberOfPoints"] == str(len(own.vertices))
+        assert piece.attrib["NumberOfPolys"] == str(len(own.faces))
+        assert piece.attrib["NumberOfVerts"] == "0"
+        read = {
+            f"{place}/{array.attrib['Name']}": np.frombuffer(
+                b64decode(array.text or "")[8:],
+                {"Float64": "<f8", "Int64": "<i8", "UInt8": "u1"}[array.attrib["type"]],
+            )
+            for place in ("Points", "Polys", "PointData")
+            for array in piece.iterfind(f"{place}/DataArray")
+        }
+        np.testing.assert_array_equal(read["Points/Points"], own.vertices.ravel())
+        np.testing.assert_array_equal(read["Polys/connectivity"], own.faces.ravel())
+        np.testing.assert_array_equal(np.diff(read["Polys/offsets"], prepend=0), 3)
+        np.testing.assert_array_equal(read["PointData/normal"], own.normal.ravel())
+        for name in fields:
+            np.testing.assert_array_equal(read[f"PointData/{name}"], getattr(given, name))
+
+
+def test_figure_of_a_comparison_is_symmetric_about_zero(comparison):
+    with vb.plot.journal():
+        axes = vb.plot.comparison_figure(comparison)
+        assert axes.get_xlabel() == "$x$ [mm]"
+        bar = axes.figure.axes[-1]
+        low, high = bar.get_ylim()
+        assert low == -high
+        assert high == pytest.approx(0.5, rel=0.15)
+        assert bar.get_ylabel() == "distance from the model [mm]"
+        nothing = vb.compare(vb.fit_shape(rings(BALL, np.random.default_rng(0), sweeps=3)), BALL)
+        drawn = vb.plot.comparison_figure(nothing, limit=1e-3)
+    colours = drawn.collections[0].get_facecolor()
+    assert not nothing.significant.any()
+    np.testing.assert_allclose(colours[:, :3], colours[:, :1].repeat(3, axis=1))
+
+
 def test_a_mesh_without_triangles(mesh, tmp_path):
     nothing = mesh.part(np.zeros(len(mesh.faces), bool))
     with pytest.raises(vb.io.InputError, match="has no triangle"):
@@ -70,7 +151,9 @@ def test_a_mesh_without_triangles(mesh, tmp_path):
 
 
 def test_an_unknown_suffix(mesh, tmp_path):
-    with pytest.raises(vb.io.InputError, match=r"suffix '.obj'; allowed are .ply, .stl, .glb"):
+    with pytest.raises(
+        vb.io.InputError, match=r"suffix '.obj'; allowed are .ply, .vtp, .stl, .glb"
+    ):
         vb.io.write_shape(tmp_path / "x.obj", mesh)
 
 

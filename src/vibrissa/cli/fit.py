@@ -28,8 +28,8 @@ def fit(
         typer.Option(
             "--output",
             "-o",
-            help="Mesh to write: .ply (with deviations), .stl or .glb.",
-            callback=common.written(".ply", ".stl", ".glb"),
+            help="Mesh to write: .ply, .vtp or .glb (with deviations), or .stl.",
+            callback=common.written(".ply", ".vtp", ".stl", ".glb"),
         ),
     ],
     figure: common.Figure = None,

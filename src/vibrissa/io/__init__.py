@@ -10,7 +10,7 @@ from vibrissa.io.recordings.convert import convert_recording
 from vibrissa.io.recordings.read import inspect_recording, read_raw, read_recording
 from vibrissa.io.recordings.write import write_recording
 from vibrissa.io.setup import Setup, load_setup
-from vibrissa.io.shapes import write_shape
+from vibrissa.io.shapes import write_occupancy, write_shape
 
 __all__ = [
     "Case",
@@ -28,6 +28,7 @@ __all__ = [
     "write_calibration",
     "write_contacts",
     "write_dataset",
+    "write_occupancy",
     "write_recording",
     "write_shape",
 ]

@@ -1,5 +1,5 @@
-"""Clouds of contacts for other programs: VTK's XML PolyData (`.vtp`), as ParaView opens it, and
-PCL's `.pcd`.
+"""Clouds of contacts for other programs, as VTK's XML PolyData (`.vtp`), which ParaView opens, and
+PCL's `.pcd`; and meshes as the former.
 """
 
 from base64 import b64decode, b64encode
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
 import numpy as np
-from jaxtyping import Shaped
+from jaxtyping import Float, Int, Shaped
 
 from vibrissa.files import InputError
 from vibrissa.libraries import extra_library
@@ -61,23 +61,44 @@ def write_vtp(file: Path, table: "pandas.DataFrame", unit: str) -> None:
     }  # fmt: skip
     if "cxx" in rows:
         arrays["covariance"] = rows[list(COVARIANCE)].to_numpy()[:, np.ravel(MATRIX)]
+    write_polydata(
+        file,
+        rows[["x", "y", "z"]].to_numpy(),
+        arrays,
+        np.arange(count)[:, None],
+        active={"Normals": "normal", "Scalars": "kind"},
+        comment=f"contacts of an elastic rod, unit {unit}",
+    )
+
+
+def write_polydata(
+    file: Path,
+    points: Float[np.ndarray, "p 3"],
+    fields: Mapping[str, Shaped[np.ndarray, "p ..."]],
+    cells: Int[np.ndarray, "cells corners"],
+    *,
+    active: dict[str, str],
+    comment: str,
+) -> None:
+    """Write points with fields, and cells of one corner (vertices) or more (polygons).
+
+    `active` names the fields that a viewer takes for normals and shows first.
+    """
     root = ElementTree.Element(
         "VTKFile", type="PolyData", version="1.0", byte_order="LittleEndian", header_type="UInt64"
     )
-    root.append(ElementTree.Comment(f" contacts of an elastic rod, unit {unit} "))
-    numbers: dict[str, Any] = {f"NumberOf{part}": "0" for part in ("Lines", "Strips", "Polys")}
-    piece = ElementTree.SubElement(
-        ElementTree.SubElement(root, "PolyData"), "Piece",
-        NumberOfPoints=str(count), NumberOfVerts=str(count), **numbers,
-    )  # fmt: skip
-    active = {"Normals": "normal", "Scalars": "kind"}
+    root.append(ElementTree.Comment(f" {comment} "))
+    kind = "Verts" if cells.shape[1] == 1 else "Polys"
+    numbers = {f"NumberOf{part}": "0" for part in ("Verts", "Lines", "Strips", "Polys")}
+    numbers |= {"NumberOfPoints": str(len(points)), f"NumberOf{kind}": str(len(cells))}
+    piece = ElementTree.SubElement(ElementTree.SubElement(root, "PolyData"), "Piece", numbers)
     data = ElementTree.SubElement(piece, "PointData", active)
-    for name, values in arrays.items():
+    for name, values in fields.items():
         _append(data, name, values)
-    _append(ElementTree.SubElement(piece, "Points"), "Points", rows[["x", "y", "z"]].to_numpy())
-    vertices = ElementTree.SubElement(piece, "Verts")
-    _append(vertices, "connectivity", np.arange(count))
-    _append(vertices, "offsets", np.arange(1, count + 1))
+    _append(ElementTree.SubElement(piece, "Points"), "Points", points)
+    listed = ElementTree.SubElement(piece, kind)
+    _append(listed, "connectivity", cells.ravel())
+    _append(listed, "offsets", cells.shape[1] * np.arange(1, len(cells) + 1))
     ElementTree.indent(root)
     ElementTree.ElementTree(root).write(file, encoding="utf-8", xml_declaration=True)
 

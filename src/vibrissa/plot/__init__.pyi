@@ -12,11 +12,12 @@ from .events import reactions_along
 from .reactions import reactions_over_plane
 from .recording import recording_figure
 from .scene import scene
-from .shapes import shape_figure
+from .shapes import comparison_figure, shape_figure
 from .style import journal, save, save_as
 
 __all__ = [
     "animation",
+    "comparison_figure",
     "contacts_figure",
     "coverage_figure",
     "expected_error_map",

@@ -20,10 +20,10 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from vibrissa.contacts import Contacts
+from vibrissa.shape.area import points_over
 from vibrissa.shape.noise import Noise
 from vibrissa.shape.sites import Gathered, gathered, spread_out
 from vibrissa.surfaces import Placed, Surface
-from vibrissa.surfaces.outline import box_of, outline
 
 _SAMPLES = 700
 """Points of the object that pairs are taken from."""
@@ -195,15 +195,10 @@ class _Sampled(NamedTuple):
 
 def _samples(surface: Surface, extent: float, rng: np.random.Generator) -> _Sampled:
     """Points spread evenly over the object."""
-    box = box_of(surface, np.zeros((1, 3)), 20 * extent, 2 * extent)
-    if box is None:
-        raise ValueError("surface: nothing of it is near its origin; allowed is an object there")
-    triangles = outline(surface, *box)
-    across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    area = np.linalg.norm(across, axis=1)
-    chosen = rng.choice(len(area), 8 * _SAMPLES, p=area / area.sum())
-    weights = rng.dirichlet(np.ones(3), len(chosen))
-    points = np.einsum("nk,nki->ni", weights, triangles[chosen])
+    origin = np.zeros((1, 3))
+    nothing = "surface: nothing of it is near its origin"
+    reach, beyond, count = 20 * extent, 2 * extent, 8 * _SAMPLES
+    points = points_over(surface, origin, reach, beyond, count, rng, said=nothing)
     points = points[spread_out(points, _SAMPLES)]
     return _Sampled(points, surface.normal(points))
 

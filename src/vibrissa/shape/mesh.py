@@ -11,6 +11,7 @@ from scipy.spatial import KDTree
 
 from vibrissa.libraries import extra_library
 from vibrissa.shape.level import Level
+from vibrissa.shape.occupancy import lattice_points
 
 _library = partial(extra_library, extra="mesh", need="meshes of shapes need it")
 _COARSE = 4
@@ -127,8 +128,7 @@ def lattice_of(
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "x y z"]]:
     """Lowest corner and values of the level at the nodes of a lattice around the surface."""
     low, counts = box_of(level, contacts, step, extent)
-    nodes = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1)
-    return low, level.values(low + step * nodes.reshape(-1, 3)).reshape(counts)
+    return low, level.values(lattice_points(low, step, counts)).reshape(counts)
 
 
 def extracted(

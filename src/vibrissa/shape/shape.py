@@ -11,7 +11,8 @@ from scipy.spatial import KDTree
 
 from vibrissa.geometry.checks import finite_array, positive
 from vibrissa.shape.level import Level
-from vibrissa.shape.mesh import ShapeMesh, extracted, lattice_of
+from vibrissa.shape.mesh import ShapeMesh, box_of, extracted, lattice_of
+from vibrissa.shape.occupancy import Occupancy, lattice_points, probability_inside
 from vibrissa.shape.sites import Sites
 
 if TYPE_CHECKING:
@@ -150,6 +151,34 @@ class Shape:
         step = self.extent / 50 if resolution is None else positive(resolution, "resolution")
         origin, values = lattice_of(self.level, self.sites.point, step, self.extent)
         return Lattice(origin=origin, spacing=step, values=values)
+
+    def occupancy(self, resolution: float | None = None) -> Occupancy:
+        """Probability that the object fills the voxels of a lattice around it.
+
+        Parameters
+        ----------
+        resolution
+            Edge length of a voxel; by default a thirtieth of the extent.
+
+        Raises
+        ------
+        ValueError
+            If the resolution is not positive, or so small that there would be more than fifty
+            million voxels.
+
+        Notes
+        -----
+        It is Φ(−d/σ) with d the level over its slope at the middle of the voxel, and σ the standard
+        deviation of the surface's place. Voxels are unknown where the surface is not seen, as in a
+        mesh, and its 95 % interval reaches them.
+        """
+        step = self.extent / 30 if resolution is None else positive(resolution, "resolution")
+        origin, counts = box_of(self.level, self.sites.point, step, self.extent)
+        points = lattice_points(origin, step, counts)
+        jets = self.level.jets(points)
+        away = jets[:, 0] / np.maximum(np.linalg.norm(jets[:, 1:], axis=1), _STEEP)
+        inside = probability_inside(away, self._deviations(points), _KNOWN * self.extent)
+        return Occupancy(origin, step, inside.reshape(counts))
 
     def _rows(self, points: ArrayLike, function: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
         array = finite_array(points, "points", last=3)

@@ -84,10 +84,7 @@ class MessageWriter:
             WRENCH: self._pattern(WRENCH, 6, wrench_frame),
             POSE: self._pattern(POSE, 7, world_frame),
         }
-        self._fields = [
-            self._new("sensor_msgs/msg/PointField", name, offset, DATATYPES[kind.str], 1)
-            for name, (kind, offset, *_) in (POINT.fields or {}).items()
-        ]
+        self._fields = point_fields(self._store, POINT)
         # rosbags generates the code for a type on first use.
         self._cloud_data(np.zeros(1, dtype=POINT), 0, is_dense=True)
 
@@ -166,7 +163,23 @@ class MessageWriter:
         return Messages(CONTACTS, np.array([logged]), np.array([0]), record)
 
     def _cloud_data(self, points: np.ndarray, stamp: int, *, is_dense: bool) -> bytes:
-        header, size, step = self._header(self._world, stamp), len(points), points.itemsize
-        shape = 1, size, self._fields, False, step, points.nbytes
-        cloud = self._new(TYPES[CONTACTS], header, *shape, points.view(np.uint8), is_dense)
+        header = self._header(self._world, stamp)
+        cloud = cloud_message(self._store, header, points, self._fields, is_dense=is_dense)
         return bytes(self._store.serialize_cdr(cloud, TYPES[CONTACTS]))
+
+
+def point_fields(store: Any, point: np.dtype[np.void]) -> list[Any]:
+    """Descriptions of a point's fields in a cloud."""
+    described = store.types["sensor_msgs/msg/PointField"]
+    return [
+        described(name, offset, DATATYPES[kind.str], 1)
+        for name, (kind, offset, *_) in (point.fields or {}).items()
+    ]
+
+
+def cloud_message(
+    store: Any, header: Any, points: np.ndarray, fields: list[Any], *, is_dense: bool
+) -> Any:
+    """Structured points as a `PointCloud2`."""
+    shape = 1, len(points), fields, False, points.itemsize, points.nbytes
+    return store.types[TYPES[CONTACTS]](header, *shape, points.view(np.uint8), is_dense)

@@ -91,7 +91,9 @@ def test_the_rest_is_what_no_contact_is_near(bowl):
     assert everywhere.share_touched == 1
     assert everywhere.touched == everywhere.whole
     assert np.isnan(everywhere.rest).all()
-    above = vb.shape_errors(bowl, ball(), contacts=[[0, 0, RADIUS]], near=4e-3, resolution=COARSE)
+    above = vb.shape_errors(
+        bowl, ball(), contacts=np.array([[0, 0, RADIUS]]), near=4e-3, resolution=COARSE
+    )
     # A cap of chord c has the area π c².
     assert above.share_touched == pytest.approx(0.004**2 / (4 * RADIUS**2), rel=0.25)
 
@@ -121,7 +123,6 @@ def test_errors_are_a_table(shape):
         ({"tolerance": -1.0}, "tolerance = -1.0"),
         ({"samples": 0}, "samples = 0"),
         ({"contacts": np.full((2, 3), np.nan)}, "contacts: no row is finite"),
-        ({"contacts": np.ones((2, 2))}, r"contacts has shape \(2, 2\)"),
     ],
 )
 def test_wrong_arguments(shape, options, said):

@@ -4,7 +4,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
-from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 from scipy.special import ndtri
 
@@ -89,7 +88,7 @@ def shape_errors(
     shape: Shape,
     truth: Surface,
     *,
-    contacts: ArrayLike | None = None,
+    contacts: Float[np.ndarray, "k 3"] | None = None,
     near: float = 3e-3,
     tolerance: float = 1e-3,
     samples: int = 4000,
@@ -178,11 +177,9 @@ def shape_errors(
     )
 
 
-def _finite_points(contacts: ArrayLike) -> Float[np.ndarray, "k 3"]:
+def _finite_points(contacts: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "n 3"]:
     """Rows that are finite."""
-    points = np.asarray(contacts, dtype=float)
-    if points.ndim == 2:
-        points = points[np.isfinite(points).all(axis=1)]
+    points = contacts[np.isfinite(contacts).all(axis=-1)]
     if not points.size:
         raise ValueError("contacts: no row is finite; allowed is at least one")
     return finite_array(points, "contacts", last=3, ndim=2)

@@ -75,8 +75,8 @@ def test_a_shifted_sphere(shape):
 def test_hausdorff_distance_of_what_the_shape_lacks(shape):
     """A knob of the truth sticks out where nobody touched it."""
     knob = vb.surfaces.Union((ball(), ball(0.004, (0, 0, 0.026))))
-    errors = vb.shape_errors(shape, knob, resolution=COARSE, samples=20_000)
-    assert errors.whole.hausdorff == pytest.approx(0.010, rel=0.01)
+    errors = vb.shape_errors(shape, knob, resolution=COARSE, samples=8000)
+    assert errors.whole.hausdorff == pytest.approx(0.010, rel=0.02)
     assert errors.touched.hausdorff < 0.003
     assert errors.spurious < 0.03
 

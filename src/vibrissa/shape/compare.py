@@ -39,9 +39,9 @@ class Comparison:
     deviation
         (v,) its standard deviation: of the fitted surface and, from a `Location`, of the pose.
     p_value
-        (v,) probability of so large a distance, or one further from what is tolerated, on a part
-        that keeps to the tolerance; adjusted for the number of vertices, so that those below any
-        rate have that rate of false discoveries.
+        (v,) probability of a distance at least as large on a part within the tolerance, adjusted
+        for the number of vertices: of those up to some rate, at most that share is expected to be
+        false discoveries.
     significant
         (v,) whether the part differs from the model there: `p_value` up to `rate`.
     tolerance, rate
@@ -134,12 +134,12 @@ def compare(
 
     Notes
     -----
-    With d the signed distance and σ its deviation, p = Φ(−(|d| − τ)/σ) + Φ(−(|d| + τ)/σ) at most,
-    if the true distance does not exceed the tolerance τ. Neighbouring vertices share their errors,
-    hence the procedure of Benjamini & Yekutieli (Ann. Stat. 2001), which holds under any
-    dependence. The pose is to first order, as if it were independent of the shape: where it was
-    found from the same contacts, it follows part of their errors, and deviations are too large
-    rather than too small.
+    With d the distance to either side, σ its deviation and τ the tolerance, the p value before
+    adjustment is Φ((τ − d)/σ) + Φ((−τ − d)/σ): that of a part which is off by just the tolerance.
+    Neighbouring vertices share their errors, hence the procedure of Benjamini & Yekutieli (Ann.
+    Stat. 2001), which holds under any dependence. The pose counts to first order, as if its errors
+    were independent of the shape's: where it was found from the same contacts, it follows part of
+    their errors, and deviations are too large rather than too small.
     """
     not_negative(tolerance, "tolerance")
     share(rate, "rate")

@@ -69,8 +69,7 @@ def comparison_figure(
     view
         Elevation and azimuth of the eye [°].
     limit
-        Distance [m] at which colours end, on both sides; by default 98 % of the vertices are
-        closer to the model.
+        Distance [m] at which colours end, on both sides; by default `Comparison.limit`.
 
     Raises
     ------

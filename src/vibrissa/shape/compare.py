@@ -22,7 +22,7 @@ map of Moreland (ISVC 2009).
 UNCERTAIN = np.array([0.72, 0.72, 0.72])
 """Grey, as no colour between them is."""
 _MOST_SHOWN = 0.98
-"""Share of the vertices whose distance a scale of colours holds."""
+"""Share of the distances that a scale of colours holds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,8 +76,12 @@ class Comparison:
 
     @property
     def limit(self) -> float:
-        """Distance at which colours end: 98 % of the vertices are closer to the model."""
-        return float(np.quantile(np.abs(self.distance), _MOST_SHOWN)) or np.finfo(float).tiny
+        """Distance at which colours end: 98 % of the vertices that differ significantly, or of all
+        if none does, are closer to the model.
+        """
+        chosen = self.significant if self.significant.any() else slice(None)
+        most = float(np.quantile(np.abs(self.distance[chosen]), _MOST_SHOWN))
+        return most or np.finfo(float).tiny
 
     def colours(self, limit: float | None = None) -> UInt8[np.ndarray, "v 3"]:
         """Red, green and blue (v, 3), 0 to 255: blue where there is too little material, red where

@@ -4,6 +4,7 @@ trusted.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from enum import IntEnum
 from typing import Any
@@ -107,6 +108,34 @@ class Contacts:
             **{each.name: getattr(result, each.name, None) for each in fields(cls)}
             | {"time": time, "sweep": np.indices(rows)[0] if len(rows) > 1 else None}
         )
+
+    @classmethod
+    def joined(cls, parts: Sequence[Contacts]) -> Contacts:
+        """Contacts of several sweeps or sessions one after another (n, …), sweeps numbered through;
+        without what one of them lacks. They may come from different rods and mounts, as long as
+        their axes and unit of length are the same.
+
+        Raises
+        ------
+        ValueError
+            If there are none.
+        """
+        if not len(parts):
+            raise ValueError("parts is empty; allowed is at least one")
+        sweeps, first = [], 0
+        for part in parts:
+            rows = part.point[..., 0].size
+            own = np.zeros(rows, int) if part.sweep is None else part.sweep.reshape(-1)
+            numbers = np.unique(own, return_inverse=True)[1]
+            sweeps.append(first + numbers)
+            first += int(numbers.max(initial=-1)) + 1
+        given: dict[str, Any] = {"sweep": np.concatenate(sweeps)}
+        for name in [field.name for field in fields(cls) if field.name != "sweep"]:
+            columns = [getattr(part, name) for part in parts]
+            if all(column is not None for column in columns):
+                shape = _SHAPES.get(name, ())
+                given[name] = np.concatenate([column.reshape(-1, *shape) for column in columns])
+        return cls(**given)
 
     def __repr__(self) -> str:
         """Return up to five lines: rows, kinds, statuses, extent, and what else is known."""

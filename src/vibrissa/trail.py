@@ -13,7 +13,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from vibrissa.brief import point
-from vibrissa.files import InputError, check_increasing, read_table
+from vibrissa.files import InputError, check_increasing, read_table, writable
 from vibrissa.geometry.checks import finite, finite_array, unit_vector, whole_number
 from vibrissa.geometry.motion import arm_of, equal_angles, matrix_parts
 from vibrissa.geometry.rotation import (
@@ -360,6 +360,49 @@ class Trail:
             np.concatenate([trail.position.reshape(-1, count, 3) for trail in trails]),
             np.concatenate([trail.orientation.reshape(-1, count, 4) for trail in trails]),
         )
+
+    def placed(
+        self, rotation: Orientation = (0.0, 0.0, 0.0, 1.0), translation: ArrayLike = (0, 0, 0)
+    ) -> Trail:
+        """The same poses turned about the origin, then moved.
+
+        Parameters
+        ----------
+        rotation
+            Quaternion x, y, z, w, or a SciPy Rotation.
+        translation
+            (3,) in units of the rod.
+
+        Raises
+        ------
+        ValueError
+            If the quaternion has zero norm, or an entry is not finite.
+        """
+        from_quat = scipy.spatial.transform.Rotation.from_quat
+        turn = from_quat(unit_quaternions(rotation, "rotation"))
+        moved = turn.apply(self.position.reshape(-1, 3)) + _point(translation, "translation")
+        turned = turn * from_quat(self.orientation.reshape(-1, 4))
+        return Trail(
+            moved.reshape(self.position.shape), turned.as_quat().reshape(self.orientation.shape)
+        )
+
+    def to_csv(self, path: str | Path) -> None:
+        """Write the poses of a single trail with the columns that `from_csv` reads.
+
+        Raises
+        ------
+        ValueError
+            If there are several trails.
+        InputError
+            If the file cannot be written.
+        """
+        if len(self.shape) > 1:
+            raise ValueError(
+                f"trail has shape {self.shape}; allowed is a single trail, as trail[i]"
+            )
+        rows = np.column_stack([self.position, self.orientation])
+        header = ",".join(COLUMNS)
+        np.savetxt(writable(Path(path)), rows, "%.17g", ",", header=header, comments="")
 
     def __getitem__(self, index: Index) -> Trail:
         """Some positions of one trail, or some of several trails: a slice, a mask or an array of

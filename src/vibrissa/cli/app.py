@@ -22,13 +22,14 @@ from vibrissa.cli.fit import fit
 from vibrissa.cli.init import init
 from vibrissa.cli.inspect import inspect
 from vibrissa.cli.live import live
+from vibrissa.cli.next import next_
 from vibrissa.cli.reconstruct import reconstruct
 from vibrissa.cli.scan import scan
 from vibrissa.cli.simulate_sensor import simulate_sensor
 from vibrissa.cli.view import view
 
 _COMMANDS = {
-    command.__name__.replace("_", "-"): command
+    command.__name__.strip("_").replace("_", "-"): command
     for command in (
         demo,
         example,
@@ -36,6 +37,7 @@ _COMMANDS = {
         scan,
         reconstruct,
         fit,
+        next_,
         view,
         inspect,
         convert,

@@ -56,7 +56,7 @@ def fit(
             mesh = shape.mesh(resolution, extrapolate=extrapolate)
         except (ValueError, ImportError) as error:
             raise vb.io.InputError(f"{', '.join(map(str, contacts))}: {error}") from error
-        vb.io.write_shape(output, mesh)
+        vb.io.write_shape(output, mesh, fitted=shape)
     for line in shape.warnings:
         common.warn(line)
     files = [output]

@@ -45,6 +45,13 @@ _VARIABLES = (
         "covariance of the normal",
     ),
     Variable(
+        "cross_covariance",
+        "cross_covariance",
+        "axis other_axis",
+        "length",
+        "covariance of the contact point with the normal",
+    ),
+    Variable(
         "contact_point_covariance_noise",
         "covariance_noise",
         "axis other_axis",

@@ -5,6 +5,7 @@ from vibrissa.files import InputError
 from vibrissa.io.calibration import write_calibration
 from vibrissa.io.case import Case, load_case
 from vibrissa.io.contacts import read_contacts, write_contacts, write_dataset
+from vibrissa.io.fitted import read_shape
 from vibrissa.io.recordings.align import Recording
 from vibrissa.io.recordings.convert import convert_recording
 from vibrissa.io.recordings.read import inspect_recording, read_raw, read_recording
@@ -25,6 +26,7 @@ __all__ = [
     "read_contacts",
     "read_raw",
     "read_recording",
+    "read_shape",
     "write_calibration",
     "write_contacts",
     "write_dataset",

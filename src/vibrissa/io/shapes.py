@@ -9,7 +9,8 @@ from jaxtyping import Shaped
 from vibrissa.files import InputError
 from vibrissa.io.clouds import write_polydata
 from vibrissa.io.contacts import checked_output, written
-from vibrissa.shape import Comparison, Occupancy, ShapeMesh
+from vibrissa.io.fitted import comments_of, elements_of
+from vibrissa.shape import Comparison, Occupancy, Shape, ShapeMesh
 
 SHAPE_SUFFIXES = (".ply", ".vtp", ".stl", ".glb")
 OCCUPANCY_SUFFIXES = (".npz", ".mcap")
@@ -17,7 +18,9 @@ _SAID = "surface through contacts of an elastic rod"
 Fields = dict[str, Shaped[np.ndarray, "v"]]
 
 
-def write_shape(path: str | Path, shape: ShapeMesh | Comparison) -> Path:
+def write_shape(
+    path: str | Path, shape: ShapeMesh | Comparison, *, fitted: Shape | None = None
+) -> Path:
     """Write the mesh of a fitted surface, or of its comparison with a model, in the contacts' unit
     of length.
 
@@ -30,6 +33,9 @@ def write_shape(path: str | Path, shape: ShapeMesh | Comparison) -> Path:
         A mesh has the fields `deviation` and `seen`. A comparison has `distance`, its `deviation`,
         `p_value` and `significant` besides, and colours, except in STL: blue where there is too
         little material, red where there is too much, grey where that is not significant.
+    fitted
+        The surface behind it: PLY then holds its contacts too, from which `read_shape` fits it
+        again; the other formats do not.
 
     Raises
     ------
@@ -42,7 +48,7 @@ def write_shape(path: str | Path, shape: ShapeMesh | Comparison) -> Path:
     if not len(mesh.faces):
         raise InputError(f"{file}: the mesh has no triangle; allowed is a surface that was touched")
     writers: dict[str, Callable[[], None]] = {
-        ".ply": lambda: _write_ply(file, shape),
+        ".ply": lambda: _write_ply(file, shape, fitted),
         ".vtp": lambda: _write_vtp(file, shape),
         ".glb": lambda: _write_other(file, shape),
         ".stl": lambda: _write_other(file, shape),
@@ -64,7 +70,7 @@ def _parts(shape: ShapeMesh | Comparison) -> tuple[ShapeMesh, Fields, np.ndarray
     return shape.mesh, fields, shape.colours()
 
 
-def _write_ply(file: Path, shape: ShapeMesh | Comparison) -> None:
+def _write_ply(file: Path, shape: ShapeMesh | Comparison, fitted: Shape | None) -> None:
     from plyfile import PlyData, PlyElement  # noqa: PLC0415
 
     mesh, fields, colours = _parts(shape)
@@ -81,6 +87,9 @@ def _write_ply(file: Path, shape: ShapeMesh | Comparison) -> None:
     comments = [_SAID, "deviation: standard deviation"]
     if isinstance(shape, Comparison):
         comments.append("distance: from the model, positive where there is too much material")
+    if fitted is not None:
+        elements += elements_of(fitted)
+        comments += comments_of(fitted)
     PlyData(elements, byte_order="<", comments=comments).write(str(file))
 
 

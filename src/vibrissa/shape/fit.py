@@ -29,7 +29,16 @@ from vibrissa.shape.outliers import (
 from vibrissa.shape.posterior import Basis, Data, left_out, posterior
 from vibrissa.shape.prior import Ball, Expected, Folds, Scales, most_likely
 from vibrissa.shape.shape import Shape
-from vibrissa.shape.sites import LEAST, Gathered, Sites, gathered, pooled, single, spread_out
+from vibrissa.shape.sites import (
+    LEAST,
+    Gathered,
+    Sites,
+    gathered,
+    pooled,
+    several,
+    single,
+    spread_out,
+)
 from vibrissa.shape.swept import emptied, swept_points
 
 _FIRST, _CARRIERS, _TRIED = 240, 400, 120
@@ -97,7 +106,8 @@ def fit_shape(
     depends on the number of contacts beyond some thousand, as neighbours of a sweep are pooled.
     Without covariances, errors are estimated with the rest.
     """
-    given, lines = gathered(contacts), swept_points(swept)
+    parts, lines = several(contacts), swept_points(swept)
+    given = gathered(parts)
     length = None if length_scale is None else positive(length_scale, "length_scale")
     agreeing = np.flatnonzero(agree_with_neighbours(given))
     if len(agreeing) < LEAST:
@@ -119,7 +129,17 @@ def fit_shape(
         level = emptied(level, places, data.target, noise, lines, given.extent)
     outlier = outliers_of(given, judged, level, first.curvature)
     findings = mostly_outliers(given, outlier) + findings
-    return Shape(level, given.extent, sites, given.spread(outlier), findings)
+    return Shape(
+        level,
+        given.extent,
+        sites,
+        given.spread(outlier),
+        findings,
+        parts,
+        given.rows,
+        lines,
+        length,
+    )
 
 
 def _expected(given: Gathered, length: float | None) -> Expected:

@@ -7,33 +7,23 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
-from scipy.spatial import KDTree
 
+from vibrissa.contacts import Contacts
 from vibrissa.geometry.checks import finite_array, positive
 from vibrissa.shape.level import Level
 from vibrissa.shape.mesh import ShapeMesh, box_of, extracted, lattice_of
 from vibrissa.shape.occupancy import Occupancy, lattice_points, probability_inside
 from vibrissa.shape.sites import Sites
+from vibrissa.shape.stated import STEEP, Stated
 
 if TYPE_CHECKING:
     from vibrissa.surfaces import Surface
 
-_STEEP = 0.3
-"""Least gradient that levels are divided by: inside, where faces are equally far, it vanishes."""
 _STEPS, _SETTLED = 12, 1e-5
 """Steps towards the closest point, and the last one, relative to the extent."""
 _KNOWN = 0.01
 """Standard deviation, relative to the extent of the contacts, below which a surface counts as seen:
 its 95 % interval is then a twenty-fifth of the object's size wide.
-"""
-_UNSURE = 0.04
-"""Deviation that an angle between faces adds, relative to the extent, per curvature: directions of
-the first surface are taken as known, and are not at edges. Squared residuals at an edge between
-sweeps (rounded block, 3 mm) were twice as large without.
-"""
-_AWAY = 3.0
-"""Deviation that a distance from all contacts adds, both relative to the extent and the distance
-cubed: curvatures of a part seen from one side are not those of the other (ellipsoid, blob).
 """
 
 
@@ -54,6 +44,14 @@ class Shape:
         their errors as stated. They hardly count.
     warnings
         What the contacts say against one another, one line each.
+    contacts
+        What it was fitted to.
+    used
+        (n,) which of their rows count: those with a contact and status OK.
+    swept
+        (k, 3) points of rods that missed, None if none were given.
+    length_scale
+        As it was given, or None.
     """
 
     level: Level
@@ -61,6 +59,10 @@ class Shape:
     sites: Sites
     outlier: Bool[np.ndarray, "given"]
     warnings: list[str]
+    contacts: list[Contacts]
+    used: Bool[np.ndarray, "given"]
+    swept: Float[np.ndarray, "k 3"] | None
+    length_scale: float | None
 
     def __repr__(self) -> str:
         """Return three lines: contacts, outliers and scales."""
@@ -176,7 +178,7 @@ class Shape:
         origin, counts = box_of(self.level, self.sites.point, step, self.extent)
         points = lattice_points(origin, step, counts)
         jets = self.level.jets(points)
-        away = jets[:, 0] / np.maximum(np.linalg.norm(jets[:, 1:], axis=1), _STEEP)
+        away = jets[:, 0] / np.maximum(np.linalg.norm(jets[:, 1:], axis=1), STEEP)
         inside = probability_inside(away, self._deviations(points), _KNOWN * self.extent)
         return Occupancy(origin, step, inside.reshape(counts))
 
@@ -199,7 +201,7 @@ class Shape:
         for _ in range(_STEPS):
             here = feet[going]
             jets = self.level.jets(here)
-            length = np.maximum(np.linalg.norm(jets[:, 1:], axis=1), _STEEP)
+            length = np.maximum(np.linalg.norm(jets[:, 1:], axis=1), STEEP)
             normal = jets[:, 1:] / length[:, None]
             apart = points[going] - here
             along = apart - np.einsum("ni,ni->n", apart, normal)[:, None] * normal
@@ -214,11 +216,5 @@ class Shape:
         return feet
 
     def _deviations(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
-        gradient = self.level.jets(points)[:, 1:]
-        steepness = np.maximum(np.linalg.norm(gradient, axis=1), _STEEP)
-        first = self.level.folds.first if self.level.folds else self.level.total
-        bent = first.curvature(points) + self.level.ball.curvature(points)
-        sharp = np.linalg.norm(bent, axis=(1, 2)) * _UNSURE * self.extent
-        away = KDTree(self.sites.point).query(points)[0] / self.extent
-        variance = self.level.variance(points) * (1 + sharp**2)
-        return np.hypot(np.sqrt(variance) / steepness, _AWAY * away**3 * self.extent)
+        stated = Stated.at(self.level, points, self.extent)
+        return stated.deviations(self.level.variance(points), stated.away(self.sites.point))

@@ -78,13 +78,13 @@ class Gathered(NamedTuple):
         return rows
 
 
-def gathered(contacts: Contacts | Sequence[Contacts]) -> Gathered:
-    """Sound contacts in the order given, sweeps numbered through.
+def several(contacts: Contacts | Sequence[Contacts]) -> list[Contacts]:
+    """Contacts of sweeps as a list of them.
 
     Raises
     ------
     ValueError
-        If there are too few, or all lie in one place.
+        If one of them is something else.
     """
     parts = [contacts] if isinstance(contacts, Contacts) else list(contacts)
     for number, part in enumerate(parts):
@@ -93,6 +93,18 @@ def gathered(contacts: Contacts | Sequence[Contacts]) -> Gathered:
                 f"contacts[{number}] is a {type(part).__name__}; allowed are vibrissa.Contacts, "
                 "such as `smooth(found).contacts`"
             )
+    return parts
+
+
+def gathered(contacts: Contacts | Sequence[Contacts]) -> Gathered:
+    """Sound contacts in the order given, sweeps numbered through.
+
+    Raises
+    ------
+    ValueError
+        If there are too few, or all lie in one place.
+    """
+    parts = several(contacts)
     columns = [_columns(part) for part in parts]
     rows = np.concatenate([column[0] for column in columns] or [np.zeros(0, dtype=bool)])
     if rows.sum() < LEAST:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg import solve_triangular
+from scipy.linalg import cholesky, solve_triangular
 from scipy.spatial import KDTree
 from scipy.special import log_ndtr
 
@@ -18,6 +18,7 @@ from vibrissa.shape.kernel import Coordinates
 from vibrissa.shape.level import Level
 from vibrissa.shape.noise import Noise
 from vibrissa.shape.posterior import Basis, Data, information, solved
+from vibrissa.shape.prior import Ball
 from vibrissa.shape.sites import spread_out
 
 _APART = 0.03
@@ -29,8 +30,8 @@ _CLOSE = 0.02
 _SURE = 3.0
 """Deviations from zero beyond which the contacts alone say that a point is outside."""
 _BEYOND = 0.3
-"""Distance from the box around all contacts, relative to the extent, beyond which nothing is
-expected anyway.
+"""Distance from the box around all contacts and the ball that fits them, relative to the extent,
+beyond which nothing is expected anyway.
 """
 _AT_ONCE, _TIMES = 60, 4
 """Points of rods added at once, and how often."""
@@ -77,7 +78,7 @@ def emptied(
     Points are added where the surface so far leaves them open, as long as there are any.
     """
     contacts = level.found.basis.sites.value[:, :3]
-    points = _thinned(points, contacts, extent)
+    points = _thinned(points, contacts, level.ball, extent)
     chosen = np.zeros((0, 3))
     for _ in range(_TIMES):
         deviation = np.sqrt(level.variance(points)) if len(points) else np.zeros(0)
@@ -92,12 +93,13 @@ def emptied(
 
 
 def _thinned(
-    points: Float[np.ndarray, "n 3"], contacts: Float[np.ndarray, "m 3"], extent: float
+    points: Float[np.ndarray, "n 3"], contacts: Float[np.ndarray, "m 3"], ball: Ball, extent: float
 ) -> Float[np.ndarray, "thinned 3"]:
-    """One of the points in each cell of a lattice, near the contacts' box but not close to a
-    contact.
+    """One of the points in each cell of a lattice, near the contacts' or the ball's box but not
+    close to a contact.
     """
-    low, high = contacts.min(axis=0), contacts.max(axis=0)
+    low = np.minimum(contacts.min(axis=0), ball.center - ball.radius)
+    high = np.maximum(contacts.max(axis=0), ball.center + ball.radius)
     beyond = np.maximum(np.maximum(low - points, points - high), 0.0)
     points = points[np.linalg.norm(beyond, axis=1) < _BEYOND * extent]
     _, first = np.unique(np.floor(points / (_APART * extent)), axis=0, return_index=True)
@@ -126,20 +128,27 @@ def _given_outside(
     basis = Basis.of(before.kernel, sites)
     precision, pull = information(Data.of(basis, places, target), noise)
     rows, offset = basis.values(own), level.ball.at(points)[:, 0]
+    alone = solved(basis, precision, pull)
+    left = solve_triangular(alone.root, rows, lower=True, check_finite=False)
+    # By the contacts alone: the rounds go on in the space of the points.
+    known, expected = left.T @ left, alone.mean @ rows
     weight, push = np.zeros(len(points)), np.zeros(len(points))
     for _ in range(_ROUNDS):
-        found = solved(basis, precision + (rows * weight) @ rows.T, pull + rows @ push)
-        left = solve_triangular(found.root, rows, lower=True, check_finite=False)
-        variance, mean = np.einsum("mk,mk->k", left, left), found.mean @ rows
+        half = np.sqrt(np.maximum(weight, 0.0))
+        inner = cholesky(np.eye(len(half)) + half[:, None] * known * half, lower=True)
+        told = solve_triangular(inner, half[:, None] * known, lower=True, check_finite=False)
+        variance = np.diag(known) - np.sum(told**2, axis=0)
+        drawn = solve_triangular(inner, half * expected, lower=True, check_finite=False)
+        mean = expected - told.T @ drawn + known @ push - told.T @ (told @ push)
         # Without the inequality's own part.
-        alone = 1 / (1 / variance - weight)
-        center = alone * (mean / variance - push)
-        scale = np.sqrt(alone)
+        open_ = 1 / (1 / variance - weight)
+        center = open_ * (mean / variance - push)
+        scale = np.sqrt(open_)
         z = (center + offset) / scale
         ratio = np.exp(-0.5 * z**2 - 0.5 * np.log(2 * np.pi) - log_ndtr(z))
-        narrowed = alone * (1 - ratio * (z + ratio))
+        narrowed = open_ * (1 - ratio * (z + ratio))
         moved = center + scale * ratio
-        weight += _DAMPING * (1 / narrowed - 1 / alone - weight)
-        push += _DAMPING * (moved / narrowed - center / alone - push)
+        weight += _DAMPING * (1 / narrowed - 1 / open_ - weight)
+        push += _DAMPING * (moved / narrowed - center / open_ - push)
     found = solved(basis, precision + (rows * weight) @ rows.T, pull + rows @ push)
     return Level.of(level.ball, level.folds, found)

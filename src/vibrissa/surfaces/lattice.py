@@ -8,7 +8,7 @@ from jax import Array
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from vibrissa.geometry.checks import finite_array, positive
+from vibrissa.geometry.checks import finite_array
 from vibrissa.surfaces.base import Point, Scalar, Surface
 
 _LEAST = 4
@@ -22,14 +22,20 @@ class Lattice(Surface):
 
     heavy = True
     origin: Float[np.ndarray | Array, "3"]
-    spacing: float
+    spacing: Float[np.ndarray | Array, "3"]
     coefficients: Float[np.ndarray | Array, "x y z"]
 
-    def __init__(self, origin: ArrayLike, spacing: float, values: ArrayLike) -> None:
+    def __init__(self, origin: ArrayLike, spacing: ArrayLike, values: ArrayLike) -> None:
         from scipy.ndimage import spline_filter  # noqa: PLC0415
 
         self.origin = finite_array(origin, "origin", last=3, ndim=1)
-        self.spacing = positive(spacing, "spacing")
+        steps = finite_array(spacing, "spacing")
+        if steps.shape not in ((), (3,)) or np.any(steps <= 0):
+            raise ValueError(
+                f"spacing = {steps.tolist()}; allowed is a number greater than 0, or one for each "
+                "axis"
+            )
+        self.spacing = np.broadcast_to(steps, 3).copy()
         nodes = np.asarray(values, dtype=np.float64)
         if nodes.ndim != 3 or min(nodes.shape) < _LEAST or not np.isfinite(nodes).all():
             raise ValueError(
@@ -51,8 +57,8 @@ class Lattice(Surface):
         near = [cell[i] + jnp.arange(4) for i in range(3)]
         block = self.coefficients[near[0][:, None, None], near[1][:, None], near[2]]
         level = jnp.einsum("i,j,k,ijk->", *weights, block)
-        beyond = place - inside
-        return level + self.spacing * (jnp.sqrt(jnp.sum(beyond**2) + _TINY) - _TINY**0.5)
+        beyond = self.spacing * (place - inside)
+        return level + jnp.sqrt(jnp.sum(beyond**2) + _TINY) - _TINY**0.5
 
 
 _TINY = 1e-30

@@ -1,0 +1,237 @@
+"""Following a girth unaided: each sweep is planned from what the last ones told."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from vibrissa.contacts import Status
+from vibrissa.geometry.checks import finite_array, positive, unit_vector, whole_number
+from vibrissa.inverse import Reconstruction
+from vibrissa.rod import Rod
+from vibrissa.shape.fit import fit_shape
+from vibrissa.shape.plan import next_sweep
+from vibrissa.shape.shape import Shape
+from vibrissa.trail import Trail
+
+_MISSED, _POINTS = 60, 30
+"""Rods of a sweep that missed, and points of each, that the fit is told of."""
+_STEP = 1 / 150
+"""Distance between points of the girth, relative to the extent of the contacts."""
+_LONGEST = 12.0
+"""Length of a girth that closes, relative to that extent."""
+_STANDS = 24
+"""Directions in the plane from which sweeps are tried, both ways each."""
+_DEPTHS = (0.2, 0.35, 0.5)
+"""How far tips reach beyond the side of the object that is next to the clamp [L]."""
+_BEFORE, _AFTER = 0.15, 0.6
+"""How far beyond the object sweeps start and stop [L]: a bent rod comes off late."""
+_POSITIONS = 120
+"""Of a sweep."""
+_TOLERANCE = 2e-3
+"""Standard deviation to which a girth is to be known [L]: what contacts of a steel wire of 50 mm on
+a common sensor reach.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """A girth that was followed.
+
+    Attributes
+    ----------
+    point
+        (k, 3) along the curve in which the plane cuts the surface, evenly spaced.
+    deviation
+        (k,) standard deviation of the surface there.
+    closed
+        Whether the curve comes back to where it began and is known to the tolerance all along.
+    shape
+        The surface behind it.
+    trails
+        What was driven, in order.
+    """
+
+    point: Float[np.ndarray, "k 3"]
+    deviation: Float[np.ndarray, "k"]
+    closed: bool
+    shape: Shape
+    trails: list[Trail]
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        length = np.linalg.norm(np.diff(self.point, axis=0), axis=1).sum()
+        state = "closed" if self.closed else "not closed"
+        return (
+            f"Followed: girth of {length:.4g}, {state} after {len(self.trails)} sweeps, largest "
+            f"deviation {self.deviation.max():.2g}"
+        )
+
+
+def follow(
+    sweep: Callable[[Trail], Reconstruction],
+    rod: Rod,
+    start: Trail,
+    *,
+    plane: tuple[ArrayLike, ArrayLike] | None = None,
+    tolerance: float | None = None,
+    clearance: float = 0.0,
+    friction: float = 0.0,
+    most: int = 20,
+) -> Followed:
+    """Follow the curve in which a plane cuts an object until it is known all round.
+
+    Parameters
+    ----------
+    sweep
+        Called with the clamp poses to drive next, it returns what was felt: the smoothed
+        reconstruction of the recording. A robot's program goes here, or a `SimulatedArm`.
+    rod
+        The rod that is swept, in units of the trails.
+    start
+        A first trail that touches the object.
+    plane
+        A point and a normal; by default the plane of the first trail's clamp axis and motion.
+    tolerance
+        Standard deviation to which the curve is to be known; by default a five-hundredth of the
+        rod's length.
+    clearance, friction
+        As for `next_sweep`.
+    most
+        Sweeps after which to give up.
+
+    Raises
+    ------
+    ValueError
+        If the first sweep touches too little to fit a surface to, the first trail does not
+        determine a plane, or an argument is not positive.
+    """
+    limit = _TOLERANCE * rod.length if tolerance is None else positive(tolerance, "tolerance")
+    cut = _Plane.of(start) if plane is None else _Plane.given(*plane)
+    felt: list[Reconstruction] = []
+    trails, driven = [start], set[int]()
+    for number in range(whole_number(most, "most")):
+        felt.append(sweep(trails[-1]))
+        shape = fit_shape([each.contacts for each in felt], swept=[_missed(each) for each in felt])
+        point, back = _traced(shape, cut)
+        deviation = shape.deviation(point)
+        closed = back and bool(np.all(deviation <= limit))
+        if closed or number == most - 1:
+            break
+        planned = next_sweep(
+            shape,
+            rod,
+            cut.stands(rod, point),
+            clearance=clearance,
+            friction=friction,
+            places=point[deviation > limit] if np.any(deviation > limit) else point,
+        )
+        # A stand that did not reach what it was expected to will not do so now.
+        new = [row for row in planned.order.tolist() if row not in driven]
+        if not new or planned.gain[new[0]] <= 0:
+            break
+        driven.add(new[0])
+        trails.append(planned.candidates[new[0]])
+    return Followed(point, deviation, closed, shape, trails)
+
+
+def _missed(found: Reconstruction) -> Float[np.ndarray, "k m 3"]:
+    """Rods without contact."""
+    free = np.flatnonzero(~found.in_contact & (found.status == Status.OK))
+    return found.elastic_lines(free[:: -(-len(free) // _MISSED) or 1], _POINTS)
+
+
+class _Plane(NamedTuple):
+    """A plane by a point, its normal, and two axes in it."""
+
+    point: Float[np.ndarray, "3"]
+    normal: Float[np.ndarray, "3"]
+    axes: Float[np.ndarray, "2 3"]
+
+    @classmethod
+    def of(cls, trail: Trail) -> "_Plane":
+        """That of a clamp's axis and motion."""
+        moved = trail.position[-1] - trail.position[0]
+        normal = np.cross(trail.axis[0], moved)
+        if np.linalg.norm(normal) < 1e-6 * np.linalg.norm(moved) or not moved.any():
+            raise ValueError(
+                "start moves along its rod, which determines no plane; allowed is a sweep across, "
+                "or `plane=`"
+            )
+        return cls.given(trail.position[0], normal)
+
+    @classmethod
+    def given(cls, point: ArrayLike, normal: ArrayLike) -> "_Plane":
+        """From a point and a normal of any length."""
+        across = unit_vector(normal, "plane[1]")
+        first = np.cross(across, np.eye(3)[np.argmin(np.abs(across))])
+        first /= np.linalg.norm(first)
+        axes = np.stack([first, np.cross(across, first)])
+        return cls(finite_array(point, "plane[0]", last=3, ndim=1), across, axes)
+
+    def within(self, vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
+        """Their parts in the plane."""
+        return vectors - (vectors @ self.normal)[..., None] * self.normal
+
+    def stands(self, rod: Rod, girth: Float[np.ndarray, "k 3"]) -> Trail:
+        """Straight sweeps in the plane, from all sides and both ways."""
+        middle = (girth.min(axis=0) + girth.max(axis=0)) / 2
+        middle = self.point + self.within(middle - self.point)
+        apart, trails = girth - middle, []
+        for angle in 2 * np.pi * np.arange(_STANDS) / _STANDS:
+            inward = np.array([np.cos(angle), np.sin(angle)]) @ self.axes
+            near = middle + np.min(apart @ inward) * inward
+            for along in (np.cross(self.normal, inward), -np.cross(self.normal, inward)):
+                low, high = np.min(apart @ along), np.max(apart @ along)
+                ends = low - _BEFORE * rod.length, high + _AFTER * rod.length
+                for depth in _DEPTHS:
+                    clamp = near - (1 - depth) * rod.length * inward
+                    trails.append(
+                        Trail.line(
+                            start=clamp + ends[0] * along,
+                            stop=clamp + ends[1] * along,
+                            count=_POSITIONS,
+                            axis=inward,
+                        )
+                    )
+        return Trail.stack(trails)
+
+
+def _traced(shape: Shape, cut: _Plane) -> tuple[Float[np.ndarray, "k 3"], bool]:
+    """Points along the curve from a contact near the plane on, and whether it closes."""
+    step = _STEP * shape.extent
+    contacts = shape.sites.point
+    near = contacts[np.argmin(np.abs((contacts - cut.point) @ cut.normal))]
+    here = _onto(shape, cut, near - ((near - cut.point) @ cut.normal) * cut.normal)
+    points = [here]
+    for number in range(round(_LONGEST / _STEP)):
+        normal = cut.within(shape.normal(here[None])[0])
+        along = np.cross(cut.normal, normal)
+        here = _onto(shape, cut, here + step * along / np.linalg.norm(along))
+        if number > 2 and np.linalg.norm(here - points[0]) < step:
+            return np.array([*points, points[0]]), True
+        points.append(here)
+    return np.array(points), False
+
+
+def _onto(shape: Shape, cut: _Plane, point: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    """The place of the surface in the plane next to a point of the plane."""
+    longest = 2 * _STEP * shape.extent
+    for _ in range(_ROUNDS):
+        jet = shape.level.jets(point[None])[0]
+        slope = cut.within(jet[1:])
+        move = -jet[0] * slope / max(float(slope @ slope), _FLAT)
+        size = float(np.linalg.norm(move))
+        point = point + move * min(1.0, longest / max(size, 1e-300))
+        if size < _SETTLED * shape.extent:
+            break
+    return point
+
+
+_ROUNDS, _SETTLED = 20, 1e-6
+"""Steps of Newton's method, and the last one, relative to the extent."""
+_FLAT = 0.01
+"""Least squared slope within the plane that is divided by."""

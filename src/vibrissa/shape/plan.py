@@ -1,0 +1,352 @@
+"""What to touch next: which of many sweeps takes most of a surface's uncertainty away.
+
+The surface is a Gaussian process, so that what contacts will leave open depends on where they will
+be, not on what they will say. Where they will be, the forward model tells on the present surface.
+All candidates are compared by a rod that stays straight and touches where it is deepest inside; the
+best of them are scanned.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy.typing import ArrayLike
+from scipy.linalg import block_diag, cholesky, solve_triangular
+from scipy.ndimage import map_coordinates, zoom
+from scipy.special import erfc, ndtr
+
+from vibrissa.contacts import Status
+from vibrissa.forward import Scan, scan
+from vibrissa.geometry.checks import finite_array, not_negative, positive
+from vibrissa.mechanics.shape import free_lines
+from vibrissa.rod import Rod
+from vibrissa.shape.kernel import JET, Coordinates, covariance, covariance_of_values
+from vibrissa.shape.level import Level
+from vibrissa.shape.mesh import box_of
+from vibrissa.shape.noise import Noise
+from vibrissa.shape.shape import Shape
+from vibrissa.shape.sites import spread_out
+from vibrissa.shape.stated import Stated
+from vibrissa.surfaces import Lattice
+from vibrissa.trail import Trail
+
+_NODES = 24
+"""Nodes along each axis of the surface that is scanned: 3 mm on an object of 70 mm."""
+_PLACES = 400
+"""Places of the surface whose uncertainty counts."""
+_POSITIONS, _ALONG = 16, 16
+"""Clamp positions of a candidate, and points along a straight rod."""
+_MODELLED = 8
+"""Candidates that are scanned at a time."""
+_CONTACTS = 10
+"""Contacts of a sweep that are expected to say something: neighbours say the same."""
+_RISK = 0.05
+"""Probability of the clamp being inside the object that is not taken."""
+
+
+@dataclass(frozen=True, eq=False)
+class NextSweep:
+    """Candidates by the uncertainty they are expected to take away.
+
+    Attributes
+    ----------
+    candidates
+        The m trails that were given.
+    order
+        (m,) their numbers, the best first: those that were scanned before those that were only
+        compared, and those that must not be driven last.
+    gain
+        (m,) expected decrease of `unknown`; 0 for sweeps that touch nothing or must not be driven.
+    unknown
+        Mean standard deviation of the surface, or, with a tolerance, the expected share of it that
+        is off by more than that.
+    status
+        (m,) `CLAMP_INSIDE` where the clamp may come too close, `OVERSTRAINED` where the rod would
+        yield, else `OK`.
+    scanned
+        (m,) which of them the forward model has scanned.
+    contacts
+        (m,) points (k, 3) where contacts are expected.
+    """
+
+    candidates: Trail
+    order: Int[np.ndarray, "m"]
+    gain: Float[np.ndarray, "m"]
+    unknown: float
+    status: Int[np.ndarray, "m"]
+    scanned: Bool[np.ndarray, "m"]
+    contacts: list[Float[np.ndarray, "_ 3"]]
+
+    def __repr__(self) -> str:
+        """Return the first five."""
+        refused = int((self.status != Status.OK).sum())
+        lines = [
+            f"NextSweep among {len(self.order)} candidates, {refused} refused; unknown: "
+            f"{self.unknown:.3g}"
+        ]
+        lines += [f"  {row}: gain {self.gain[row]:.3g}" for row in self.order[:5]]
+        return "\n".join(lines)
+
+    @property
+    def best(self) -> Trail:
+        """The trail to drive next.
+
+        Raises
+        ------
+        ValueError
+            If none of them may be driven.
+        """
+        first = self.order[0]
+        if self.status[first] != Status.OK:
+            raise ValueError(
+                f"candidates: none of {len(self.order)} may be driven, the first because of "
+                f"{Status(self.status[first]).name}; allowed is at least one that may"
+            )
+        return self.candidates[int(first)]
+
+
+def next_sweep(
+    shape: Shape,
+    rod: Rod,
+    candidates: Trail | Sequence[Trail],
+    *,
+    tolerance: float | None = None,
+    clearance: float = 0.0,
+    friction: float = 0.0,
+    places: ArrayLike | None = None,
+) -> NextSweep:
+    """Rank sweeps by how much of a surface's uncertainty they are expected to take away.
+
+    Parameters
+    ----------
+    shape
+        What is known so far.
+    rod
+        The rod that will be swept, in the shape's units.
+    candidates
+        Trails that the arm can drive (m, n, …), or a list of single ones of equal length.
+    tolerance
+        Distance within which the surface is to be known. With it, a sweep counts by the share of
+        the surface that it makes known to that, otherwise by the mean standard deviation.
+    clearance
+        Distance that the clamp keeps from the object, such as half the width of its mount.
+    friction
+        Coulomb friction coefficient between rod and object.
+    places
+        Points (k, 3) of the surface whose uncertainty counts; by default all of it.
+
+    Raises
+    ------
+    ValueError
+        If there is no candidate, they differ in length, the tolerance is not positive, clearance or
+        friction is negative, or a place is not finite.
+    """
+    trails = candidates if isinstance(candidates, Trail) else Trail.stack(list(candidates))
+    if len(trails.shape) == 1:
+        trails = Trail.stack([trails])
+    within = None if tolerance is None else positive(tolerance, "tolerance")
+    keep = not_negative(clearance, "clearance")
+    planned = _Planned.of(shape)
+    where = planned.places if places is None else finite_array(places, "places", last=3, ndim=2)
+    gains = _Gains.of(shape, where, within)
+    rows = np.unique(np.linspace(0, trails.count - 1, _POSITIONS).round().astype(int))
+    few = Trail(trails.position[:, rows], trails.orientation[:, rows])
+    status = np.where(planned.inside(shape, few, keep), Status.CLAMP_INSIDE, Status.OK)
+    contacts, likely = planned.straight(shape, rod, few)
+    gain = np.where(status == Status.OK, likely * gains.expected(contacts, 1), 0.0)
+    scanned = np.zeros(len(gain), dtype=bool)
+    while not np.any(scanned & (status == Status.OK)):
+        open_ = np.flatnonzero((status == Status.OK) & ~scanned)
+        chosen = open_[np.argsort(-gain[open_], kind="stable")[:_MODELLED]]
+        if not len(chosen):
+            break
+        found = planned.scanned(rod, few, chosen, friction)
+        scanned[chosen] = True
+        overstrained = np.any(found.status == Status.OVERSTRAINED, axis=1)
+        status[chosen[overstrained]] = Status.OVERSTRAINED
+        sound = found.in_contact & (found.status == Status.OK)
+        touched = [point[rows] for point, rows in zip(found.point, sound, strict=True)]
+        gain[chosen] = np.where(overstrained, 0.0, likely[chosen] * gains.expected(touched, JET))
+        for row, points in zip(chosen.tolist(), touched, strict=True):
+            contacts[row] = points
+    order = np.lexsort((-gain, ~scanned, status != Status.OK))
+    return NextSweep(trails, order, gain, gains.unknown, status, scanned, contacts)
+
+
+class _Planned(NamedTuple):
+    """The present surface as a lattice, for rods to touch."""
+
+    surface: Lattice
+    places: Float[np.ndarray, "n 3"]
+    """Points spread evenly over it."""
+
+    @classmethod
+    def of(cls, shape: Shape) -> "_Planned":
+        """Of a surface, closed as its mean is."""
+        low, counts = box_of(shape.level, shape.sites.point, shape.extent / 20, shape.extent)
+        spacing = (counts - 1) * shape.extent / 20 / (_NODES - 1)
+        values = _levels(shape.level, low, spacing)
+        surface = Lattice(low, spacing, values)
+        # Nodes in a thin layer are as many as there is area under them.
+        thick = np.linalg.norm(spacing) / 2
+        near = np.argwhere(np.abs(values) < thick)
+        near = near[np.random.default_rng(0).permutation(len(near))[: 3 * _PLACES]]
+        points = low + spacing * near
+        for _ in range(3):
+            points = _onto(surface, points)
+        points = points[np.abs(_level(surface, points)) < 0.1 * thick]
+        return cls(surface, points[spread_out(points, _PLACES)])
+
+    def inside(self, shape: Shape, trails: Trail, clearance: float) -> Bool[np.ndarray, "m"]:
+        """Trails whose clamp may come too close to the object."""
+        level = _level(self.surface, trails.position)
+        row = np.argmin(level, axis=1)
+        closest = np.take_along_axis(trails.position, row[:, None, None], axis=1)[:, 0]
+        deviation = np.sqrt(shape.level.variance(closest))
+        return np.asarray(ndtr((clearance - level.min(axis=1)) / deviation) > _RISK)
+
+    def straight(
+        self, shape: Shape, rod: Rod, trails: Trail
+    ) -> tuple[list[Float[np.ndarray, "_ 3"]], Float[np.ndarray, "m"]]:
+        """For each trail, points of the surface next to where the free rod is deepest inside, and
+        the probability that it is inside anywhere: the surface may lie deeper than its mean.
+        """
+        lines = free_lines(rod, trails, _ALONG).reshape(*trails.shape, _ALONG, 3)
+        level = _level(self.surface, lines)
+        deepest = np.argmin(level, axis=2)[..., None]
+        point = np.take_along_axis(lines, deepest[..., None], axis=2)[:, :, 0]
+        depth = -np.take_along_axis(level, deepest, axis=2)[..., 0]
+        row = np.arange(len(depth)), np.argmax(depth, axis=1)
+        likely = ndtr(depth[row] / shape.deviation(point[row]))
+        for _ in range(3):
+            point[depth >= 0] = _onto(self.surface, point[depth >= 0])
+        return [each[rows >= 0] for each, rows in zip(point, depth, strict=True)], likely
+
+    def scanned(self, rod: Rod, trails: Trail, rows: Int[np.ndarray, "k"], friction: float) -> Scan:
+        """What the forward model finds."""
+        chosen = Trail(trails.position[rows], trails.orientation[rows])
+        return scan(rod, self.surface, chosen, friction=friction)
+
+
+def _levels(
+    level: Level, low: Float[np.ndarray, "3"], spacing: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "x y z"]:
+    """Levels at a lattice's nodes; away from the surface, between those of half as many."""
+    half = _NODES // 2
+    coarse = spacing * (_NODES - 1) / (half - 1)
+    values = zoom(_at_nodes(level, low, coarse, np.indices((half,) * 3)), _NODES / half, order=3)
+    near = np.abs(values) < np.linalg.norm(coarse)
+    values[near] = _at_nodes(level, low, spacing, np.argwhere(near).T)
+    return values
+
+
+def _at_nodes(
+    level: Level, low: Float[np.ndarray, "3"], spacing: np.ndarray, index: Int[np.ndarray, "3 *n"]
+) -> Float[np.ndarray, "*n"]:
+    places = low + spacing * index.reshape(3, -1).T
+    return level.values(places).reshape(index.shape[1:])
+
+
+def _level(surface: Lattice, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n"]:
+    """The lattice's level: its nearest place's, plus the distance from there."""
+    place = (points - surface.origin) / surface.spacing
+    inside = np.clip(place, 0, _NODES - 1)
+    coefficients = np.asarray(surface.coefficients)
+    found = map_coordinates(coefficients, np.moveaxis(inside, -1, 0) + 1, order=3, prefilter=False)
+    return np.asarray(found + np.linalg.norm(surface.spacing * (place - inside), axis=-1))
+
+
+def _onto(surface: Lattice, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    """A step of Newton's method towards the surface."""
+    step = 0.05 * float(np.min(surface.spacing))
+    moved = points[:, None] + step * np.concatenate([np.eye(3), -np.eye(3)])
+    told = _level(surface, moved)
+    slope = (told[:, :3] - told[:, 3:]) / (2 * step)
+    squared = np.maximum(np.sum(slope**2, axis=1), 0.1)
+    return points - (_level(surface, points) / squared)[:, None] * slope
+
+
+class _Gains(NamedTuple):
+    """What contacts would take from the uncertainty at some places."""
+
+    shape: Shape
+    stated: Stated
+    places: Coordinates
+    rows: Float[np.ndarray, "m n"]
+    """How values at the places depend on the level's unknowns, before and after the contacts."""
+    left: Float[np.ndarray, "m n"]
+    variance: Float[np.ndarray, "n"]
+    away: Float[np.ndarray, "n"]
+    tolerance: float | None
+
+    @classmethod
+    def of(
+        cls, shape: Shape, points: Float[np.ndarray, "n 3"], tolerance: float | None
+    ) -> "_Gains":
+        """At points of the surface."""
+        stated, found = Stated.at(shape.level, points, shape.extent), shape.level.found
+        places = shape.level.places(points)
+        rows = found.basis.values(places)
+        left = solve_triangular(found.root, rows, lower=True, check_finite=False)
+        variance = found.basis.kernel.variance + np.sum(left**2 - rows**2, axis=0)
+        away = stated.away(shape.sites.point)
+        return cls(shape, stated, places, rows, left, np.maximum(variance, 0), away, tolerance)
+
+    @property
+    def unknown(self) -> float:
+        """Mean over the places."""
+        return float(self._unknown(self.variance, self.away))
+
+    def _unknown(self, variance: np.ndarray, away: np.ndarray) -> np.floating:
+        deviation = self.stated.deviations(variance, away)
+        if self.tolerance is None:
+            return np.mean(deviation)
+        return np.mean(erfc(self.tolerance / (np.sqrt(2) * np.maximum(deviation, 1e-300))))
+
+    def expected(
+        self, contacts: Sequence[Float[np.ndarray, "_ 3"]], jets: int
+    ) -> Float[np.ndarray, "sweeps"]:
+        """Expected decrease by each sweep with contacts at such points; of their `jets`, the first
+        is the value, the others the gradient.
+        """
+        few = [points[:: -(-len(points) // _CONTACTS) or 1] for points in contacts]
+        decrease = np.zeros(len(few))
+        if not any(map(len, few)):
+            return decrease
+        points = np.concatenate(few)
+        level, found = self.shape.level, self.shape.level.found
+        here, kernel = level.places(points), found.basis.kernel
+        rows = found.basis.jets(here) if jets == JET else found.basis.values(here)
+        left = solve_triangular(found.root, rows, lower=True, check_finite=False)
+        cross = covariance_of_values(kernel, self.places, here)[
+            :, np.arange(JET * len(points)) % JET < jets
+        ]
+        cross += self.left.T @ left - self.rows.T @ rows
+        errors, first = self._errors(points)[:, :jets, :jets], 0
+        for number, each in enumerate(few):
+            if not len(each):
+                continue
+            ours = slice(first, first + len(each))
+            columns, first = slice(jets * first, jets * ours.stop), ours.stop
+            own = covariance(kernel, here.part(ours), here.part(ours))
+            kept = np.arange(len(own)) % JET < jets
+            own = own[np.ix_(kept, kept)] + left[:, columns].T @ left[:, columns]
+            own -= rows[:, columns].T @ rows[:, columns]
+            own += block_diag(*errors[ours])
+            root = cholesky(own, lower=True, check_finite=False)
+            told = solve_triangular(root, cross[:, columns].T, lower=True, check_finite=False)
+            variance = np.maximum(self.variance - np.sum(told**2, axis=0), 0)
+            away = np.minimum(self.away, self.stated.away(each))
+            decrease[number] = self.unknown - self._unknown(variance, away)
+        return decrease
+
+    def _errors(self, points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "k 4 4"]:
+        """Of contacts that are as well known as those so far."""
+        level, sites = self.shape.level, self.shape.sites
+        normal = self.shape.normal(points)
+        usual = np.median(sites.covariance, axis=0) * np.eye(6)
+        curvature = level.ball.curvature(points)
+        many = np.broadcast_to(usual, (len(points), 6, 6))
+        return Noise.errors(normal, many, curvature, self.shape.extent)

@@ -1,0 +1,130 @@
+"""Which sweep is proposed next: one that touches what is unknown, that may be driven, and that takes as
+much uncertainty away as it is said to.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from touched import NORMAL, POINT, joined, on_surface
+
+import vibrissa as vb
+
+WIRE = vb.Rod.cylinder(length=0.05, radius=0.25e-3, youngs_modulus=206e9)
+OBJECT = vb.surfaces.Ellipsoid(center=(0, 0, 0), semi_axes=(0.026, 0.021, 0.017))
+COUNT = 60
+
+
+def stand(turn: Rotation, offset: float) -> vb.Trail:
+    """A line across the object from one side."""
+    along = np.linspace(0.042, -0.042, COUNT)
+    position = np.column_stack([along, np.full(COUNT, offset), np.full(COUNT, -0.052)])
+    return vb.Trail(turn.apply(position), np.tile(turn.as_quat(), (COUNT, 1)))
+
+
+def felt(trail: vb.Trail, rng: np.random.Generator) -> vb.Contacts:
+    """What the rod touches there, with errors."""
+    scan = vb.scan(WIRE, OBJECT, trail)
+    rows = scan.in_contact & (scan.status == vb.Status.OK)
+    count = int(rows.sum())
+    normal = scan.normal[rows] + NORMAL * rng.normal(size=(count, 3))
+    return vb.Contacts(
+        scan.point[rows] + POINT * rng.normal(size=(count, 3)),
+        normal / np.linalg.norm(normal, axis=1)[:, None],
+        np.tile(POINT**2 * np.eye(3), (count, 1, 1)),
+        np.tile(NORMAL**2 * np.eye(3), (count, 1, 1)),
+    )
+
+
+SIDES = [Rotation.from_euler("x", 90 * i, degrees=True) for i in range(4)]
+SIDES += [Rotation.from_euler("y", angle, degrees=True) for angle in (90, -90)]
+CANDIDATES = vb.Trail.stack([stand(side, offset) for side in SIDES for offset in (-0.008, 0.006)])
+
+
+@pytest.fixture(scope="module")
+def known() -> list[vb.Contacts]:
+    rng = np.random.default_rng(0)
+    return [felt(stand(SIDES[0], offset), rng) for offset in (-0.010, -0.003, 0.004, 0.011)]
+
+
+@pytest.fixture(scope="module")
+def ranked(known) -> vb.NextSweep:
+    return vb.next_sweep(vb.fit_shape(known), WIRE, CANDIDATES)
+
+
+def test_what_is_known_already_comes_last(ranked):
+    assert sorted(ranked.order) == list(range(len(CANDIDATES.position)))
+    assert np.all(ranked.status == vb.Status.OK)
+    assert set(ranked.order[-2:]) == {0, 1}
+    assert ranked.gain[ranked.order[0]] > 10 * ranked.gain[:2].max()
+    assert np.array_equal(ranked.best.position, CANDIDATES.position[ranked.order[0]])
+
+
+def test_gain_is_what_the_sweep_then_takes_away(known, ranked):
+    places = on_surface(OBJECT, 0.02 * np.random.default_rng(1).normal(size=(500, 3)))
+    before = vb.fit_shape(known).deviation(places).mean()
+    rng, told, true = np.random.default_rng(2), [], []
+    for row in range(2, len(ranked.order), 2):
+        after = vb.fit_shape([*known, felt(CANDIDATES[row], rng)]).deviation(places).mean()
+        told.append(ranked.gain[row] / ranked.unknown)
+        true.append(1 - after / before)
+    assert np.corrcoef(told, true)[0, 1] > 0.5
+    best = int(np.argmax(told))
+    assert true[best] > max(true) - 0.15
+    assert np.allclose(told, true, atol=0.35)
+
+
+def test_contacts_are_expected_where_they_will_be(ranked):
+    for row in np.flatnonzero(ranked.scanned):
+        if len(ranked.contacts[row]):
+            assert np.median(np.abs(OBJECT.distances(ranked.contacts[row]))) < 0.006
+
+
+def test_a_rod_that_would_yield_or_hit_with_its_clamp_is_refused(known):
+    shape = vb.fit_shape(known)
+    brittle = replace(WIRE, yield_strain=1e-5)
+    close = vb.Trail(CANDIDATES.position * 0.3, CANDIDATES.orientation)
+    ranked = vb.next_sweep(shape, brittle, CANDIDATES)
+    assert np.all(ranked.status[ranked.gain == 0] == vb.Status.OVERSTRAINED)
+    with pytest.raises(ValueError, match=r"none of 12 may be driven.*OVERSTRAINED"):
+        _ = ranked.best
+    away = vb.next_sweep(shape, WIRE, vb.Trail.stack([stand(SIDES[2], 0.0), close[4]]))
+    assert away.order.tolist() == [0, 1]
+    assert away.status.tolist() == [vb.Status.OK, vb.Status.CLAMP_INSIDE]
+    kept = vb.next_sweep(shape, WIRE, CANDIDATES[:2], clearance=0.04)
+    assert np.all(kept.status == vb.Status.CLAMP_INSIDE)
+
+
+def test_with_a_tolerance_the_share_of_the_surface_counts(known):
+    ranked = vb.next_sweep(vb.fit_shape(known), WIRE, CANDIDATES, tolerance=1e-3)
+    assert 0.3 < ranked.unknown < 1.0
+    assert np.all(ranked.gain <= ranked.unknown)
+    assert ranked.gain.max() > 0.05
+
+
+def test_a_sweep_that_misses_gains_nothing(known):
+    off = vb.Trail(CANDIDATES.position + [0.2, 0, 0], CANDIDATES.orientation)
+    assert np.all(vb.next_sweep(vb.fit_shape(known), WIRE, off).gain == 0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ({"tolerance": 0.0}, r"tolerance = 0.*; allowed is"),
+        ({"clearance": -1.0}, r"clearance = -1.*; allowed is"),
+        ({"places": [[np.nan, 0, 0]]}, r"places\[0, 0\] = nan; allowed are finite"),
+    ],
+)
+def test_bad_arguments_are_named(known, arguments, said):
+    with pytest.raises(ValueError, match=said):
+        vb.next_sweep(vb.fit_shape(known), WIRE, CANDIDATES, **arguments)
+
+
+def test_contacts_of_several_sweeps_are_numbered_through(known):
+    whole = vb.Contacts.joined([known[0], joined(known[1:3]), known[3]])
+    assert len(whole) == sum(map(len, known))
+    assert np.array_equal(np.unique(whole.sweep), np.arange(4))
+    one, other = vb.fit_shape(whole), vb.fit_shape(known)
+    places = on_surface(OBJECT, 0.02 * np.random.default_rng(1).normal(size=(50, 3)))
+    assert np.array_equal(one.distance(places), other.distance(places))

@@ -53,7 +53,7 @@ def test_girth_is_closed(surface, tolerance):
     assert np.allclose(girth.point[:, 2], 0.002, atol=1e-6)
     assert np.array_equal(girth.point[0], girth.point[-1])
     away = np.abs(surface.distances(girth.point))
-    assert np.quantile(away, 0.95) < 0.1e-3
+    assert np.quantile(away, 0.95) < tolerance
     assert np.mean(away < 1.96 * girth.deviation) > 0.9
     assert girth.deviation.max() <= tolerance
     for trail in driven:

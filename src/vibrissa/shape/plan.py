@@ -286,7 +286,10 @@ class _Gains(NamedTuple):
         cls, shape: Shape, points: Float[np.ndarray, "n 3"], tolerance: float | None
     ) -> "_Gains":
         """At points of the surface."""
-        stated, found = Stated.at(shape.level, points, shape.extent), shape.level.found
+        stated, found = (
+            Stated.at(shape.level, points, shape.sites.point, shape.extent),
+            shape.level.found,
+        )
         places = shape.level.places(points)
         rows = found.basis.values(places)
         left = solve_triangular(found.root, rows, lower=True, check_finite=False)

@@ -20,23 +20,44 @@ _AWAY = 3.0
 cubed: curvatures of a part seen from one side are not those of the other (ellipsoid, blob).
 """
 
+_UNSEEN = 0.5
+"""Deviation that the distance from contacts adds where none are on the other side, relative to the
+extent, its relative power 3/2: beyond them the surface may turn anywhere, so that its slope is a
+random walk. Of surfaces from 1 to 10 sweeps, 95 % intervals held 0.88 to 0.90 of the points 1 to
+10 mm from a contact without (rounded block, torus, ellipsoid, blob, superquadric).
+"""
+_BETWEEN, _BEYOND = 0.1, 0.25
+"""Distances of the nearest contact on the other side, relative to the extent, up to which a point
+is between contacts, and from which it is beyond them.
+"""
+_ACROSS = 0.5
+"""Cosine of the angle to the opposite direction up to which a contact is on the other side."""
+
 
 class Stated(NamedTuple):
     """How deviations at some points follow from the level's variance there."""
 
     points: Float[np.ndarray, "n 3"]
     factor: Float[np.ndarray, "n"]
+    aside: Float[np.ndarray, "n"]
+    """1 beyond contacts, 0 between them."""
     extent: float
 
     @classmethod
-    def at(cls, level: Level, points: Float[np.ndarray, "n 3"], extent: float) -> "Stated":
+    def at(
+        cls,
+        level: Level,
+        points: Float[np.ndarray, "n 3"],
+        contacts: Float[np.ndarray, "k 3"],
+        extent: float,
+    ) -> "Stated":
         """At points of a surface whose contacts extend so far."""
         gradient = level.jets(points)[:, 1:]
         steepness = np.maximum(np.linalg.norm(gradient, axis=1), STEEP)
         first = level.folds.first if level.folds else level.total
         bent = first.curvature(points) + level.ball.curvature(points)
         sharp = np.linalg.norm(bent, axis=(1, 2)) * _UNSURE * extent
-        return cls(points, np.hypot(1.0, sharp) / steepness, extent)
+        return cls(points, np.hypot(1.0, sharp) / steepness, _aside(points, contacts, extent), extent)
 
     def away(self, contacts: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "n"]:
         """Distances of the points from the nearest contact."""
@@ -46,5 +67,30 @@ class Stated(NamedTuple):
         self, variance: Float[np.ndarray, "*rows n"], away: Float[np.ndarray, "*rows n"]
     ) -> Float[np.ndarray, "*rows n"]:
         """Deviations of distances for variances of the level and distances from contacts."""
-        open_ = _AWAY * (away / self.extent) ** 3 * self.extent
+        far = away / self.extent
+        open_ = self.extent * np.hypot(_AWAY * far**3, _UNSEEN * self.aside * far**1.5)
         return np.hypot(np.sqrt(variance) * self.factor, open_)
+
+
+def _aside(
+    points: Float[np.ndarray, "n 3"], contacts: Float[np.ndarray, "k 3"], extent: float
+) -> Float[np.ndarray, "n"]:
+    """By the distance of the nearest contact that is not on the side of the nearest of all."""
+    tree = KDTree(contacts)
+    _, nearest = tree.query(points)
+    near = tree.query_ball_point(points, _BEYOND * extent)
+    count = np.array([len(rows) for rows in near], dtype=np.int64)
+    rows = np.concatenate([np.zeros(0, dtype=np.int64), *near]).astype(np.int64)
+    which = np.repeat(np.arange(len(points)), count)
+    apart = contacts[rows] - points[which]
+    length = np.maximum(np.linalg.norm(apart, axis=1), _TINY)
+    towards = contacts[nearest] - points
+    towards /= np.maximum(np.linalg.norm(towards, axis=1), _TINY)[:, None]
+    other = np.einsum("ni,ni->n", apart, towards[which]) < -_ACROSS * length
+    across = np.full(len(points), _BEYOND * extent)
+    np.minimum.at(across, which[other], length[other])
+    return np.clip((across / extent - _BETWEEN) / (_BEYOND - _BETWEEN), 0.0, 1.0)
+
+
+_TINY = 1e-12
+"""Distance [m] that is none."""

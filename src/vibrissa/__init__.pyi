@@ -28,7 +28,17 @@ from .io import (
 from .reactions import Reactions
 from .rod import Loads, RestShape, Rod, Section, Support, Thermal
 from .sensor import Sensor
-from .shape import Location, Pose, Shape, ShapeMesh, fit_shape, locate
+from .shape import (
+    Candidate,
+    Identification,
+    Location,
+    Pose,
+    Shape,
+    ShapeMesh,
+    fit_shape,
+    identify,
+    locate,
+)
 from .tolerances import Tolerances
 from .trail import Trail
 from .viewer import view
@@ -36,6 +46,7 @@ from .viewer import view
 __all__ = [
     "Calibration",
     "CalibrationError",
+    "Candidate",
     "Case",
     "CausalSmoother",
     "ContactErrors",
@@ -46,6 +57,7 @@ __all__ = [
     "EventKind",
     "ExpectedError",
     "FrictionEstimate",
+    "Identification",
     "LiveContact",
     "Loads",
     "Location",
@@ -76,6 +88,7 @@ __all__ = [
     "estimate_friction",
     "expected_error",
     "fit_shape",
+    "identify",
     "io",
     "live",
     "load_case",

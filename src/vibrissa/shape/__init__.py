@@ -2,8 +2,20 @@
 
 from vibrissa.shape.coverage import coverage
 from vibrissa.shape.fit import fit_shape
+from vibrissa.shape.identify import Candidate, Identification, identify
 from vibrissa.shape.locate import Location, Pose, locate
 from vibrissa.shape.mesh import ShapeMesh
 from vibrissa.shape.shape import Shape
 
-__all__ = ["Location", "Pose", "Shape", "ShapeMesh", "coverage", "fit_shape", "locate"]
+__all__ = [
+    "Candidate",
+    "Identification",
+    "Location",
+    "Pose",
+    "Shape",
+    "ShapeMesh",
+    "coverage",
+    "fit_shape",
+    "identify",
+    "locate",
+]

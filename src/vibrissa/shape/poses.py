@@ -1,0 +1,237 @@
+"""Poses of a known object, and how far contacts contradict them.
+
+A contact at p with normal n belongs to an object with signed distance d, turned by R and moved by
+t, if d(q) = 0 and ∇d(q) = Rᵀn at q = Rᵀ(p − t): the equations of a surface fit (`noise`), with the
+pose as unknown in place of the surface.
+
+Motions are six numbers in world axes: a rotation vector about the contacts' middle, and a shift.
+Small ones are the same as screws, whose exponential also describes large ones (Murray, Li & Sastry,
+*A Mathematical Introduction to Robotic Manipulation*, 1994, section 2.3).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial.transform import Rotation
+
+from vibrissa.shape.noise import Noise, columns_of, reach_of
+from vibrissa.shape.sites import Gathered, single
+from vibrissa.surfaces import Surface
+
+_STEPS, _SETTLED = 30, 1e-6
+"""Most steps, and the gain of the misfit, relative to itself and one, below which a pose has
+settled.
+"""
+_DAMPING, _RIDGE = 1e-3, 1e-9
+"""First damping, relative to each unknown's information, and to that of all for what is free."""
+_STUCK = 1e6
+"""Damping at which a pose that gains nothing is at a minimum, or at a kink."""
+
+
+class Poses(NamedTuple):
+    """Rotation matrices and shifts of some poses."""
+
+    turn: Float[np.ndarray, "k 3 3"]
+    shift: Float[np.ndarray, "k 3"]
+
+    def moved(self, step: Float[np.ndarray, "k 6"], middle: Float[np.ndarray, "3"]) -> "Poses":
+        """Each turned about a point, then shifted."""
+        turn = Rotation.from_rotvec(step[:, :3]).as_matrix()
+        shift = (turn @ (self.shift - middle)[..., None])[..., 0] + middle + step[:, 3:]
+        return Poses(turn @ self.turn, shift)
+
+    def screwed(self, screw: Float[np.ndarray, "k 6"], middle: Float[np.ndarray, "3"]) -> "Poses":
+        """Each moved by the exponential of a screw."""
+        left = _left(screw[:, :3])
+        along = (left @ screw[:, 3:, None])[..., 0]
+        return self.moved(np.concatenate([screw[:, :3], along], axis=1), middle)
+
+    def screws(self, start: "Poses", middle: Float[np.ndarray, "3"]) -> Float[np.ndarray, "k 6"]:
+        """Screws whose exponentials bring other poses here."""
+        turn = self.turn @ np.swapaxes(start.turn, 1, 2)
+        shift = (turn @ (middle - start.shift)[..., None])[..., 0] + self.shift - middle
+        angle = Rotation.from_matrix(turn).as_rotvec()
+        return np.concatenate([angle, np.linalg.solve(_left(angle), shift[..., None])[..., 0]], 1)
+
+    def part(self, rows: Bool[np.ndarray, "k"] | Int[np.ndarray, "m"] | slice) -> "Poses":
+        """Some of them."""
+        return Poses(self.turn[rows], self.shift[rows])
+
+    def times(self, count: int) -> "Poses":
+        """Each several times in a row."""
+        return Poses(np.repeat(self.turn, count, axis=0), np.repeat(self.shift, count, axis=0))
+
+
+class Equations(NamedTuple):
+    """Residuals of all contacts in their errors for each pose, slopes by a motion whose shifts are
+    in the extent, and the object's curvature at each contact, world axes.
+    """
+
+    residual: Float[np.ndarray, "k rows"]
+    slope: Float[np.ndarray, "k rows 6"]
+    curvature: Float[np.ndarray, "k n 3 3"]
+
+    @property
+    def misfit(self) -> Float[np.ndarray, "k"]:
+        """Sum of squared residuals."""
+        return np.einsum("kr,kr->k", self.residual, self.residual)
+
+    @property
+    def information(self) -> Float[np.ndarray, "k 6 6"]:
+        """About each motion."""
+        return np.swapaxes(self.slope, 1, 2) @ self.slope
+
+    def part(self, rows: Bool[np.ndarray, "k"] | Int[np.ndarray, "m"] | slice) -> "Equations":
+        """Those of some poses."""
+        return Equations(*(values[rows] for values in self))
+
+    def put(self, rows: Int[np.ndarray, "m"], other: "Equations") -> None:
+        """Replace those of some poses."""
+        for values, others in zip(self, other, strict=True):
+            values[rows] = others
+
+
+def equations(surface: Surface, given: Gathered, poses: Poses) -> Equations:
+    """Of all contacts for each pose."""
+    count, turn, middle = len(poses.turn), poses.turn[:, None], given.point.mean(axis=0)
+    own = ((given.point - poses.shift[:, None])[:, :, None] @ turn)[:, :, 0]
+    step = 1e-4 * given.extent
+    moved = [own + sign * step * axis for axis in np.eye(3) for sign in (1, -1)]
+    normals = surface.normal(np.stack([own, *moved]))
+    bent = np.stack([normals[i] - normals[i + 1] for i in (1, 3, 5)], axis=-1) / (2 * step)
+    outward = (turn @ normals[0][..., None])[..., 0].reshape(-1, 3)
+    curvature = (turn @ bent @ np.swapaxes(turn, 2, 3)).reshape(-1, 3, 3)
+    point, normal = np.tile(given.point, (count, 1)), np.tile(given.normal, (count, 1))
+    covariance = np.tile(given.covariance, (count, 1, 1))
+    residual = np.column_stack([-surface.distances(own).ravel(), normal - outward])
+    # Turned by ω about the middle and moved by v, the object passes a contact by ω × a + v, with a
+    # from the middle to the contact; ω × a = −[a] ω.
+    arm = crossed(point - middle)
+    shift = np.broadcast_to(given.extent * np.eye(3), arm.shape)
+    motion = np.concatenate([-arm, shift], axis=2)
+    slope = np.zeros((len(point), 4, 6))
+    slope[:, 0] = np.einsum("ni,nij->nj", outward, motion)
+    slope[:, 1:] = curvature @ motion
+    slope[:, 1:, :3] += crossed(outward)
+    root = np.linalg.cholesky(Noise.errors(normal, covariance, curvature, given.extent))
+    both = np.linalg.solve(root, np.concatenate([residual[:, :, None], slope], axis=2))
+    return Equations(
+        both[:, :, 0].reshape(count, -1),
+        both[:, :, 1:].reshape(count, -1, 6),
+        curvature.reshape(count, -1, 3, 3),
+    )
+
+
+def improved(
+    surface: Surface,
+    given: Gathered,
+    start: Poses,
+    *,
+    held: Float[np.ndarray, "k 6"] | None = None,
+    steps: int = _STEPS,
+) -> tuple[Poses, Equations]:
+    """Levenberg and Marquardt's method for many poses side by side, each damped until it gains; a
+    direction of each may be held, shifts in the extent.
+    """
+    middle, units = given.point.mean(axis=0), np.repeat([1.0, given.extent], 3)
+    poses, found = Poses(*(np.array(part) for part in start)), equations(surface, given, start)
+    damping, going = np.full(len(start.turn), _DAMPING), np.arange(len(start.turn))
+    for _ in range(steps):
+        here, before = found.part(going), poses.part(going)
+        slope = here.slope
+        if held is not None:
+            along = slope @ held[going][..., None]
+            slope = slope - along * held[going][:, None]
+        normal = np.swapaxes(slope, 1, 2) @ slope
+        size = np.einsum("kii->ki", normal)
+        ridge = damping[going, None] * (size + _RIDGE * size.sum(axis=1, keepdims=True))
+        pull = -np.einsum("kri,kr->ki", slope, here.residual)
+        # Where nothing at all is known, as far from the object, nothing moves.
+        whole = normal + (ridge + 1e-300)[:, :, None] * np.eye(6)
+        step = np.linalg.solve(whole, pull[..., None])[..., 0] * units
+        trial = before.moved(step, middle)
+        told = equations(surface, given, trial)
+        gained = here.misfit - told.misfit
+        better = gained > 0
+        rows = going[better]
+        poses.turn[rows], poses.shift[rows] = trial.turn[better], trial.shift[better]
+        found.put(rows, told.part(better))
+        damping[going] = np.maximum(np.where(better, damping[going] / 5, 10 * damping[going]), 1e-9)
+        settled = np.abs(gained) < _SETTLED * (1 + here.misfit)
+        going = going[~settled & (damping[going] < _STUCK)]
+        if not len(going):
+            break
+    return poses, found
+
+
+def errors(given: Gathered, curvature: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 4 4"]:
+    """Covariance of each contact's residuals."""
+    return Noise.errors(given.normal, given.covariance, curvature, given.extent)
+
+
+class Likeness(NamedTuple):
+    """What errors that are alike along a sweep change for one pose."""
+
+    information: Float[np.ndarray, "6 6"]
+    """About motions, so that its inverse is the covariance of a fit that takes errors as
+    independent.
+    """
+    factor: float
+    """Variance of motions, relative to that of independent errors: a mean over directions."""
+    share: float
+    """Degrees of freedom of the misfit, relative to those of independent errors: its spread is that
+    of so many.
+    """
+
+
+def likeness(given: Gathered, found: Equations) -> Likeness:
+    """Of the first pose, by the autocorrelation of its residuals along sweeps."""
+    plain = found.information[0]
+    sites, curvature = single(given), found.curvature[0]
+    own = errors(given, curvature)
+    root = np.linalg.cholesky(own)
+    residual = found.residual[0].reshape(-1, 4)
+    reach = reach_of(sites, (root @ residual[..., None])[..., 0], own)
+    noise = Noise.of(sites, curvature, np.ones(len(own)), reach, given.extent, doubt=0.0)
+    spacing = [np.median(np.diff(noise.order[rows])) for rows in noise.groups if len(rows) > 1]
+    if not spacing or reach < _ALIKE * np.median(spacing):
+        return Likeness(plain, 1.0, 1.0)
+    middle, total, square = np.zeros((6, 6)), 0.0, 0.0
+    inverse = np.linalg.inv(root)
+    for rows in noise.groups:
+        whole = noise.among(rows).reshape(len(rows), 4, len(rows), 4)
+        whole = np.einsum("iab,ibjc,jdc->iajd", inverse[rows], whole, inverse[rows])
+        whole = whole.reshape(4 * len(rows), -1)
+        slope = found.slope[0][columns_of(rows)]
+        middle += slope.T @ whole @ slope
+        total, square = total + np.trace(whole), square + np.sum(whole**2)
+    ridge = _RIDGE * np.trace(plain) * np.eye(6)
+    factor = float(np.trace(np.linalg.solve(plain + ridge, middle)) / 6)
+    information = plain @ np.linalg.solve(middle + ridge, plain)
+    return Likeness(information, max(factor, 1.0), float(total / square))
+
+
+_ALIKE = 0.6
+"""Reach of the likeness, in contacts, below which errors are independent: a dozen independent ones
+seldom show more.
+"""
+
+
+def crossed(vectors: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3 3"]:
+    """Matrices [a] with [a] b = a × b."""
+    x, y, z = vectors.T
+    zero = np.zeros_like(x)
+    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
+    return np.moveaxis(np.array(rows), -1, 0)
+
+
+def _left(angle: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "k 3 3"]:
+    """From the shift of a screw to that of its exponential."""
+    size = np.linalg.norm(angle, axis=1)[:, None, None]
+    small = size < 1e-4  # where the series below are exact to rounding
+    safe = np.where(small, 1.0, size)
+    first = np.where(small, 0.5, (1 - np.cos(safe)) / safe**2)
+    second = np.where(small, 1 / 6, (safe - np.sin(safe)) / safe**3)
+    turning = crossed(angle)
+    return np.eye(3) + first * turning + second * turning @ turning

@@ -15,7 +15,7 @@ from scipy.special import logsumexp
 from scipy.stats import chi2
 
 from vibrissa.contacts import Contacts
-from vibrissa.shape.poses import Equations, Poses, errors, improved, likeness
+from vibrissa.shape.poses import Equations, Poses, errors, fitted, likeness
 from vibrissa.shape.sites import Gathered, gathered, spread_out
 from vibrissa.shape.starts import samples, starts
 from vibrissa.shape.valleys import apart, bounds
@@ -148,19 +148,20 @@ def located(surface: Surface, everything: Gathered) -> Location:
     given = _spread(everything, _MOST)
     few = _spread(given, _FEW)
     sampled = samples(surface, given.extent, np.random.default_rng(0))
-    poses, found = improved(surface, few, starts(few, sampled))
+    poses, found = fitted(surface, few, starts(few, sampled))
     if len(few.point) < len(given.point):
         near = np.argsort(found.misfit)[:_KEPT]
-        poses, found = improved(surface, given, poses.part(near))
-    best = int(np.argmin(found.misfit))
-    alike = likeness(given, found.part(slice(best, best + 1)))
-    listed, evidence = _listed(surface, given, poses, found, alike.factor)
-    freedom = 3 * len(given.point) - 6 + len(listed[0].free)
-    best = listed[0].misfit
+        poses, found = fitted(surface, given, poses.part(near))
+    first = int(np.argmin(found.misfit))
+    alike, least = likeness(given, found.part(slice(first, first + 1))), found.misfit[first]
+    freedom = 3 * len(given.point) - 6
+    fits = freedom <= 0 or chi2.sf(alike.share * least, alike.share * freedom) > _WORSE
+    listed, evidence = _listed(surface, given, poses, found, alike.factor, follow=fits)
+    freedom += len(listed[0].free)
     warnings = []
-    if freedom > 0 and chi2.sf(alike.share * best, alike.share * freedom) < _WORSE:
+    if not fits:
         warnings.append(
-            f"the best pose misses the contacts by {np.sqrt(best / freedom):.2g} times their "
+            f"the best pose misses the contacts by {np.sqrt(least / freedom):.2g} times their "
             "stated errors: it may be another object, or deformed"
         )
     return Location(surface, listed, given.point.mean(axis=0), freedom, evidence, warnings)
@@ -173,7 +174,13 @@ def _spread(given: Gathered, most: int) -> Gathered:
 
 
 def _listed(
-    surface: Surface, given: Gathered, poses: Poses, found: Equations, factor: float
+    surface: Surface,
+    given: Gathered,
+    poses: Poses,
+    found: Equations,
+    factor: float,
+    *,
+    follow: bool,
 ) -> tuple[list[Pose], float]:
     """Poses that fit, the best first, and each only once; and the evidence of all together."""
     middle, units = given.point.mean(axis=0), np.repeat([1.0, given.extent], 3)
@@ -184,7 +191,8 @@ def _listed(
     while len(order):
         first = slice(order[0], order[0] + 1)
         pose, least = poses.part(first), float(misfit[order[0]])
-        known = bounds(surface, given, pose, least, likeness(given, found.part(first)))
+        alike = likeness(given, found.part(first))
+        known = bounds(surface, given, pose, least, alike, follow=follow)
         rotation, spread = Rotation.from_matrix(pose.turn[0]), known.covariance * units
         free = known.free * units
         listed.append(Pose(rotation, pose.shift[0], spread * units[:, None], free, least))

@@ -9,7 +9,9 @@ Small ones are the same as screws, whose exponential also describes large ones (
 *A Mathematical Introduction to Robotic Manipulation*, 1994, section 2.3).
 """
 
-from typing import NamedTuple
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any, NamedTuple, Protocol, Self, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -58,6 +60,10 @@ class Poses(NamedTuple):
         """Some of them."""
         return Poses(self.turn[rows], self.shift[rows])
 
+    def own(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "k n 3"]:
+        """Points in each object's own axes."""
+        return ((points - self.shift[:, None])[:, :, None] @ self.turn[:, None])[:, :, 0]
+
     def times(self, count: int) -> "Poses":
         """Each several times in a row."""
         return Poses(np.repeat(self.turn, count, axis=0), np.repeat(self.shift, count, axis=0))
@@ -69,7 +75,7 @@ class Equations(NamedTuple):
     """
 
     residual: Float[np.ndarray, "k rows"]
-    slope: Float[np.ndarray, "k rows 6"]
+    slope: Float[np.ndarray, "k rows u"]
     curvature: Float[np.ndarray, "k n 3 3"]
 
     @property
@@ -78,7 +84,7 @@ class Equations(NamedTuple):
         return np.einsum("kr,kr->k", self.residual, self.residual)
 
     @property
-    def information(self) -> Float[np.ndarray, "k 6 6"]:
+    def information(self) -> Float[np.ndarray, "k u u"]:
         """About each motion."""
         return np.swapaxes(self.slope, 1, 2) @ self.slope
 
@@ -86,25 +92,37 @@ class Equations(NamedTuple):
         """Those of some poses."""
         return Equations(*(values[rows] for values in self))
 
-    def put(self, rows: Int[np.ndarray, "m"], other: "Equations") -> None:
-        """Replace those of some poses."""
-        for values, others in zip(self, other, strict=True):
-            values[rows] = others
-
 
 def equations(surface: Surface, given: Gathered, poses: Poses) -> Equations:
     """Of all contacts for each pose."""
-    count, turn, middle = len(poses.turn), poses.turn[:, None], given.point.mean(axis=0)
-    own = ((given.point - poses.shift[:, None])[:, :, None] @ turn)[:, :, 0]
+    own = poses.own(given.point)
     step = 1e-4 * given.extent
     moved = [own + sign * step * axis for axis in np.eye(3) for sign in (1, -1)]
     normals = surface.normal(np.stack([own, *moved]))
     bent = np.stack([normals[i] - normals[i + 1] for i in (1, 3, 5)], axis=-1) / (2 * step)
-    outward = (turn @ normals[0][..., None])[..., 0].reshape(-1, 3)
-    curvature = (turn @ bent @ np.swapaxes(turn, 2, 3)).reshape(-1, 3, 3)
+    told = Told(surface.distances(own), normals[0], bent)
+    return equations_of(told, given, poses)
+
+
+class Told(NamedTuple):
+    """What an object says of contacts in each pose, in its own axes: distances, normals and their
+    derivatives by place, and by further unknowns.
+    """
+
+    distance: Float[np.ndarray, "k n"]
+    normal: Float[np.ndarray, "k n 3"]
+    curvature: Float[np.ndarray, "k n 3 3"]
+    more: Float[np.ndarray, "k n 4 s"] | None = None
+
+
+def equations_of(told: Told, given: Gathered, poses: Poses) -> Equations:
+    """Residuals with their slopes."""
+    count, turn, middle = len(poses.turn), poses.turn[:, None], given.point.mean(axis=0)
+    outward = (turn @ told.normal[..., None])[..., 0].reshape(-1, 3)
+    curvature = (turn @ told.curvature @ np.swapaxes(turn, 2, 3)).reshape(-1, 3, 3)
     point, normal = np.tile(given.point, (count, 1)), np.tile(given.normal, (count, 1))
     covariance = np.tile(given.covariance, (count, 1, 1))
-    residual = np.column_stack([-surface.distances(own).ravel(), normal - outward])
+    residual = np.column_stack([-told.distance.ravel(), normal - outward])
     # Turned by ω about the middle and moved by v, the object passes a contact by ω × a + v, with a
     # from the middle to the contact; ω × a = −[a] ω.
     arm = crossed(point - middle)
@@ -114,29 +132,52 @@ def equations(surface: Surface, given: Gathered, poses: Poses) -> Equations:
     slope[:, 0] = np.einsum("ni,nij->nj", outward, motion)
     slope[:, 1:] = curvature @ motion
     slope[:, 1:, :3] += crossed(outward)
+    if told.more is not None:
+        more = told.more.copy()
+        more[:, :, 1:] = turn @ more[:, :, 1:]
+        slope = np.concatenate([slope, -more.reshape(len(point), 4, -1)], axis=2)
     root = np.linalg.cholesky(Noise.errors(normal, covariance, curvature, given.extent))
     both = np.linalg.solve(root, np.concatenate([residual[:, :, None], slope], axis=2))
     return Equations(
         both[:, :, 0].reshape(count, -1),
-        both[:, :, 1:].reshape(count, -1, 6),
+        both[:, :, 1:].reshape(count, 4 * len(given.point), -1),
         curvature.reshape(count, -1, 3, 3),
     )
 
 
+class Movable(Protocol):
+    """Poses, alone or with other unknowns, that steps change."""
+
+    def __iter__(self) -> Iterator[np.ndarray]:
+        """Arrays of all poses."""
+
+    def moved(self, step: Float[np.ndarray, "k u"], middle: Float[np.ndarray, "3"]) -> Self:
+        """Each changed by a step, turns about a point."""
+
+    def part(self, rows: Any) -> Self:
+        """Some of them."""
+
+
+Moved = TypeVar("Moved", bound=Movable)
+
+
 def improved(
-    surface: Surface,
-    given: Gathered,
-    start: Poses,
+    evaluate: Callable[[Moved], Equations],
+    start: Moved,
+    middle: Float[np.ndarray, "3"],
+    extent: float,
     *,
-    held: Float[np.ndarray, "k 6"] | None = None,
+    held: Float[np.ndarray, "k u"] | None = None,
     steps: int = _STEPS,
-) -> tuple[Poses, Equations]:
+) -> tuple[Moved, Equations]:
     """Levenberg and Marquardt's method for many poses side by side, each damped until it gains; a
     direction of each may be held, shifts in the extent.
     """
-    middle, units = given.point.mean(axis=0), np.repeat([1.0, given.extent], 3)
-    poses, found = Poses(*(np.array(part) for part in start)), equations(surface, given, start)
-    damping, going = np.full(len(start.turn), _DAMPING), np.arange(len(start.turn))
+    found = evaluate(start)
+    count, _, unknowns = found.slope.shape
+    units = np.ones(unknowns)
+    units[3:6] = extent
+    poses, damping, going = start.part(np.arange(count)), np.full(count, _DAMPING), np.arange(count)
     for _ in range(steps):
         here, before = found.part(going), poses.part(going)
         slope = here.slope
@@ -148,21 +189,39 @@ def improved(
         ridge = damping[going, None] * (size + _RIDGE * size.sum(axis=1, keepdims=True))
         pull = -np.einsum("kri,kr->ki", slope, here.residual)
         # Where nothing at all is known, as far from the object, nothing moves.
-        whole = normal + (ridge + 1e-300)[:, :, None] * np.eye(6)
+        whole = normal + (ridge + 1e-300)[:, :, None] * np.eye(unknowns)
         step = np.linalg.solve(whole, pull[..., None])[..., 0] * units
         trial = before.moved(step, middle)
-        told = equations(surface, given, trial)
+        told = evaluate(trial)
         gained = here.misfit - told.misfit
         better = gained > 0
-        rows = going[better]
-        poses.turn[rows], poses.shift[rows] = trial.turn[better], trial.shift[better]
-        found.put(rows, told.part(better))
+        for values, others in zip((*poses, *found), (*trial, *told), strict=True):
+            values[going[better]] = others[better]
         damping[going] = np.maximum(np.where(better, damping[going] / 5, 10 * damping[going]), 1e-9)
         settled = np.abs(gained) < _SETTLED * (1 + here.misfit)
         going = going[~settled & (damping[going] < _STUCK)]
         if not len(going):
             break
     return poses, found
+
+
+def fitted(
+    surface: Surface,
+    given: Gathered,
+    start: Poses,
+    *,
+    held: Float[np.ndarray, "k 6"] | None = None,
+    steps: int = _STEPS,
+) -> tuple[Poses, Equations]:
+    """Poses at the nearest minima of the misfit."""
+    return improved(
+        partial(equations, surface, given),
+        start,
+        given.point.mean(axis=0),
+        given.extent,
+        held=held,
+        steps=steps,
+    )
 
 
 def errors(given: Gathered, curvature: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 4 4"]:
@@ -173,7 +232,7 @@ def errors(given: Gathered, curvature: Float[np.ndarray, "n 3 3"]) -> Float[np.n
 class Likeness(NamedTuple):
     """What errors that are alike along a sweep change for one pose."""
 
-    information: Float[np.ndarray, "6 6"]
+    information: Float[np.ndarray, "u u"]
     """About motions, so that its inverse is the covariance of a fit that takes errors as
     independent.
     """
@@ -197,7 +256,7 @@ def likeness(given: Gathered, found: Equations) -> Likeness:
     spacing = [np.median(np.diff(noise.order[rows])) for rows in noise.groups if len(rows) > 1]
     if not spacing or reach < _ALIKE * np.median(spacing):
         return Likeness(plain, 1.0, 1.0)
-    middle, total, square = np.zeros((6, 6)), 0.0, 0.0
+    middle, total, square = np.zeros_like(plain), 0.0, 0.0
     inverse = np.linalg.inv(root)
     for rows in noise.groups:
         whole = noise.among(rows).reshape(len(rows), 4, len(rows), 4)
@@ -206,8 +265,8 @@ def likeness(given: Gathered, found: Equations) -> Likeness:
         slope = found.slope[0][columns_of(rows)]
         middle += slope.T @ whole @ slope
         total, square = total + np.trace(whole), square + np.sum(whole**2)
-    ridge = _RIDGE * np.trace(plain) * np.eye(6)
-    factor = float(np.trace(np.linalg.solve(plain + ridge, middle)) / 6)
+    ridge = _RIDGE * np.trace(plain) * np.eye(len(plain))
+    factor = float(np.trace(np.linalg.solve(plain + ridge, middle)) / len(plain))
     information = plain @ np.linalg.solve(middle + ridge, plain)
     return Likeness(information, max(factor, 1.0), float(total / square))
 

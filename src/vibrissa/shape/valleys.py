@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from vibrissa.shape.poses import Likeness, Poses, improved
+from vibrissa.shape.poses import Likeness, Poses, fitted
 from vibrissa.shape.sites import Gathered
 from vibrissa.surfaces import Surface
 
@@ -77,14 +77,22 @@ class _Walked(NamedTuple):
 
 
 def bounds(
-    surface: Surface, given: Gathered, pose: Poses, misfit: float, alike: Likeness
+    surface: Surface,
+    given: Gathered,
+    pose: Poses,
+    misfit: float,
+    alike: Likeness,
+    *,
+    follow: bool,
 ) -> Bounds:
-    """Of one pose at a minimum."""
+    """Of one pose at a minimum; linear ones only, unless the misfit is to be followed."""
     information, factor = alike.information, alike.factor
     values, axes = np.linalg.eigh(information)
     known = values > _FREE * values[-1]
     free, axes = axes[:, ~known].T, axes[:, known]
     deviation = 1 / np.sqrt(values[known])
+    if not follow:
+        return Bounds((axes * deviation**2) @ axes.T, free)
     followed = deviation > _WEAK * deviation[0]
     steps = _FIRST * np.minimum(deviation, LARGE / 4)[followed, None] * axes[:, followed].T
     walked = _walked(surface, given, pose, misfit, np.concatenate([steps, -steps]), factor)
@@ -148,7 +156,7 @@ def _walked(
     while len(numbers):
         size = np.linalg.norm(motion, axis=1, keepdims=True)
         start = pose.times(len(motion)).screwed(motion * units, middle)
-        there, told = improved(surface, given, start, held=motion / size, steps=_CORRECTED)
+        there, told = fitted(surface, given, start, held=motion / size, steps=_CORRECTED)
         motion = there.screws(pose.times(len(motion)), middle) / units
         rise = told.misfit - misfit
         motions.append(motion)
@@ -163,7 +171,7 @@ def _walked(
     # Within three deviations nothing else is expected than what the walk has seen.
     outer = (rise > _RAISED * factor) & (rise < _BARRIER * factor)
     if np.any(outer):
-        reached, told = improved(surface, given, poses.part(outer), steps=_SUNK)
+        reached, told = fitted(surface, given, poses.part(outer), steps=_SUNK)
         more = reached.screws(pose.times(int(outer.sum())), middle) / units
         motion, rise = np.concatenate([motion, more]), np.concatenate([rise, told.misfit - misfit])
         walk = np.concatenate([walk, walk[outer]])
@@ -182,7 +190,7 @@ def _scatter(
     """Mean square, by probability, of how far minima along a free direction are off it."""
     middle, units = given.point.mean(axis=0), np.repeat([1.0, given.extent], 3)
     motion = np.linspace(-np.pi, np.pi, _ALONG)[:, None] * direction * units
-    there, told = improved(surface, given, pose.times(_ALONG).screwed(motion, middle), steps=_SUNK)
+    there, told = fitted(surface, given, pose.times(_ALONG).screwed(motion, middle), steps=_SUNK)
     rise = told.misfit - misfit
     rest = _across(there, pose, free, middle, given.extent)
     other = (rise < _RAISED * factor) & (np.linalg.norm(rest, axis=1) < LARGE)

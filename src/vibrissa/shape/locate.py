@@ -25,7 +25,7 @@ _LIKELY = 12.0
 """Squared residual above that of the best pose, in stated errors, up to which a pose fits too."""
 _SAME, _NEAR = 1e-2, 4.0
 """Difference of poses, as an angle or relative to the extent, and in deviations, that is none."""
-_MOST, _FEW, _KEPT = 250, 40, 12
+_MOST, _FEW, _KEPT = 120, 40, 12
 """Contacts that count at most, those that first guesses are tried with, and guesses that are then
 improved with all: a dozen contacts mostly determine a pose.
 """

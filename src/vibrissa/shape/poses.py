@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
-from vibrissa.shape.noise import Noise, columns_of, reach_of
+from vibrissa.shape.noise import Noise, columns_of
 from vibrissa.shape.sites import Gathered, single
 from vibrissa.surfaces import Surface
 
@@ -245,36 +245,75 @@ class Likeness(NamedTuple):
 
 
 def likeness(given: Gathered, found: Equations) -> Likeness:
-    """Of the first pose, by the autocorrelation of its residuals along sweeps."""
-    plain = found.information[0]
-    sites, curvature = single(given), found.curvature[0]
-    own = errors(given, curvature)
-    root = np.linalg.cholesky(own)
-    residual = found.residual[0].reshape(-1, 4)
-    reach = reach_of(sites, (root @ residual[..., None])[..., 0], own)
-    noise = Noise.of(sites, curvature, np.ones(len(own)), reach, given.extent, doubt=0.0)
+    """Of the first pose: the reach over which errors are alike is the most likely one given the
+    residuals, up to their scale and what the fit has absorbed (restricted maximum likelihood).
+    """
+    sites, curvature, slope = single(given), found.curvature[0], found.slope[0]
+    inverse = np.linalg.inv(np.linalg.cholesky(errors(given, curvature)))
+    noise = Noise.of(sites, curvature, np.ones(len(slope) // 4), 1.0, given.extent, doubt=0.0)
+    plain = slope.T @ slope
+    ridge = _RIDGE * np.trace(plain) * np.eye(len(plain))
+    told = 3 * len(inverse) - len(plain)
     spacing = [np.median(np.diff(noise.order[rows])) for rows in noise.groups if len(rows) > 1]
-    if not spacing or reach < _ALIKE * np.median(spacing):
+    if not spacing or told <= 0:
+        return Likeness(plain, 1.0, 1.0)
+    least = _unlikely(found.residual[0], slope, [np.eye(len(slope))], noise.groups[:0], told, ridge)
+    best, limit = None, least - _SURE
+    for reach in np.median(spacing) * _REACHES:
+        parts = _alike(noise._replace(reach=float(reach)), inverse)
+        unlikely = _unlikely(found.residual[0], slope, parts, noise.groups, told, ridge)
+        if unlikely < limit:
+            best, limit = parts, unlikely
+    if best is None:
         return Likeness(plain, 1.0, 1.0)
     middle, total, square = np.zeros_like(plain), 0.0, 0.0
-    inverse = np.linalg.inv(root)
-    for rows in noise.groups:
-        whole = noise.among(rows).reshape(len(rows), 4, len(rows), 4)
-        whole = np.einsum("iab,ibjc,jdc->iajd", inverse[rows], whole, inverse[rows])
-        whole = whole.reshape(4 * len(rows), -1)
-        slope = found.slope[0][columns_of(rows)]
-        middle += slope.T @ whole @ slope
+    for rows, whole in zip(noise.groups, best, strict=True):
+        own = slope[columns_of(rows)]
+        middle += own.T @ whole @ own
         total, square = total + np.trace(whole), square + np.sum(whole**2)
-    ridge = _RIDGE * np.trace(plain) * np.eye(len(plain))
     factor = float(np.trace(np.linalg.solve(plain + ridge, middle)) / len(plain))
     information = plain @ np.linalg.solve(middle + ridge, plain)
     return Likeness(information, max(factor, 1.0), float(total / square))
 
 
-_ALIKE = 0.6
-"""Reach of the likeness, in contacts, below which errors are independent: a dozen independent ones
-seldom show more.
+_REACHES = np.geomspace(0.5, 20.0, 12)
+"""Reaches that are compared, in the spacing of contacts."""
+_SURE = 6.0
+"""Twice the gain of the log-likelihood from which errors count as alike: independent ones gain
+more in one case of a hundred.
 """
+
+
+def _alike(noise: Noise, inverse: Float[np.ndarray, "n 4 4"]) -> list[np.ndarray]:
+    """Covariance of the residuals of each sweep, in the contacts' own errors."""
+    found = []
+    for rows in noise.groups:
+        whole = noise.among(rows).reshape(len(rows), 4, len(rows), 4)
+        whole = np.einsum("iab,ibjc,jdc->iajd", inverse[rows], whole, inverse[rows], optimize=True)
+        found.append(whole.reshape(4 * len(rows), -1))
+    return found
+
+
+def _unlikely(
+    residual: Float[np.ndarray, "rows"],
+    slope: Float[np.ndarray, "rows u"],
+    parts: list[np.ndarray],
+    groups: list[Int[np.ndarray, "k"]],
+    told: int,
+    ridge: Float[np.ndarray, "u u"],
+) -> float:
+    """Minus twice the logarithm of the restricted likelihood of residuals of unknown scale."""
+    both = np.column_stack([slope, residual])
+    normal, size = np.zeros((both.shape[1],) * 2), 0.0
+    columns = [columns_of(rows) for rows in groups] or [np.arange(len(both))]
+    for rows, whole in zip(columns, parts, strict=True):
+        root = np.linalg.cholesky(whole)
+        white = np.linalg.solve(root, both[rows])
+        normal += white.T @ white
+        size += 2 * np.log(np.diag(root)).sum()
+    information, pull = normal[:-1, :-1] + ridge, normal[:-1, -1]
+    square = normal[-1, -1] - pull @ np.linalg.solve(information, pull)
+    return float(size + np.linalg.slogdet(information)[1] + told * np.log(square))
 
 
 def crossed(vectors: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3 3"]:

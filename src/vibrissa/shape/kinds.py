@@ -5,7 +5,7 @@ where it is.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -31,14 +31,14 @@ class Shaped(NamedTuple):
     shift: Float[np.ndarray, "k 3"]
     sizes: Float[np.ndarray, "k s"]
 
-    def moved(self, step: Float[np.ndarray, "k u"], middle: Float[np.ndarray, "3"]) -> Self:
+    def moved(self, step: Float[np.ndarray, "k u"], middle: Float[np.ndarray, "3"]) -> "Shaped":
         """Each turned about a point and shifted, sizes multiplied by at most a factor of two."""
         poses = Poses(self.turn, self.shift).moved(step[:, :6], middle)
-        return type(self)(*poses, self.sizes + np.clip(step[:, 6:], -0.7, 0.7))
+        return Shaped(*poses, self.sizes + np.clip(step[:, 6:], -0.7, 0.7))
 
-    def part(self, rows: Any) -> Self:
+    def part(self, rows: Any) -> "Shaped":
         """Some of them."""
-        return type(self)(*(values[rows].copy() for values in self))
+        return Shaped(*(values[rows].copy() for values in self))
 
 
 class Kind(NamedTuple):

@@ -118,8 +118,8 @@ def locate(surface: Surface, contacts: Contacts | Sequence[Contacts]) -> Locatio
     surface
         The object in its own axes, about their origin: a mesh or any other surface.
     contacts
-        With covariances, best `vibrissa.smooth(found).contacts`; those of a sweep are taken as
-        independent, so that a few spread over the object say as much as all.
+        With covariances, best `vibrissa.smooth(found).contacts`. Errors that are alike along a
+        sweep widen covariances, as far as residuals show it.
 
     Returns
     -------
@@ -137,8 +137,10 @@ def locate(surface: Surface, contacts: Contacts | Sequence[Contacts]) -> Locatio
 
     Notes
     -----
-    Covariances are linear: they understate what is left open where no contact is on the part that
-    tells poses apart, such as a mug's handle (mechanics.md, "Where a known object is").
+    The misfit is followed as far as it stays low: covariances hold where contacts bound a motion
+    only far off, or through the ripple of a mesh, and a motion that they do not bound within 0.5
+    rad or half the extent is free (mechanics.md, "Where a known object is"). Of more than 120
+    contacts, the 120 farthest from one another count.
     """
     return located(surface, gathered(contacts))
 

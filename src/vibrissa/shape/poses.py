@@ -11,7 +11,7 @@ Small ones are the same as screws, whose exponential also describes large ones (
 
 from collections.abc import Callable, Iterator
 from functools import partial
-from typing import Any, NamedTuple, Protocol, Self, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -119,7 +119,11 @@ def equations_of(told: Told, given: Gathered, poses: Poses) -> Equations:
     """Residuals with their slopes."""
     count, turn, middle = len(poses.turn), poses.turn[:, None], given.point.mean(axis=0)
     outward = (turn @ told.normal[..., None])[..., 0].reshape(-1, 3)
-    curvature = (turn @ told.curvature @ np.swapaxes(turn, 2, 3)).reshape(-1, 3, 3)
+    deviation = np.sqrt(np.einsum("nii->n", given.covariance[:, :3, :3]) / 3)
+    size = np.linalg.norm(told.curvature, axis=(2, 3)) * deviation
+    share = np.minimum(1, _SHARP / np.maximum(size, 1e-300))[..., None, None]
+    limited = told.curvature * share
+    curvature = (turn @ limited @ np.swapaxes(turn, 2, 3)).reshape(-1, 3, 3)
     point, normal = np.tile(given.point, (count, 1)), np.tile(given.normal, (count, 1))
     covariance = np.tile(given.covariance, (count, 1, 1))
     residual = np.column_stack([-told.distance.ravel(), normal - outward])
@@ -134,7 +138,7 @@ def equations_of(told: Told, given: Gathered, poses: Poses) -> Equations:
     slope[:, 1:, :3] += crossed(outward)
     if told.more is not None:
         more = told.more.copy()
-        more[:, :, 1:] = turn @ more[:, :, 1:]
+        more[:, :, 1:] = turn @ (share * more[:, :, 1:])
         slope = np.concatenate([slope, -more.reshape(len(point), 4, -1)], axis=2)
     root = np.linalg.cholesky(Noise.errors(normal, covariance, curvature, given.extent))
     both = np.linalg.solve(root, np.concatenate([residual[:, :, None], slope], axis=2))
@@ -145,16 +149,23 @@ def equations_of(told: Told, given: Gathered, poses: Poses) -> Equations:
     )
 
 
+_SHARP = 0.5
+"""Turn of the normal over one deviation of the point beyond which it is not taken to grow, as at an
+edge: there no direction is far from any other.
+"""
+
+
+@runtime_checkable
 class Movable(Protocol):
     """Poses, alone or with other unknowns, that steps change."""
 
     def __iter__(self) -> Iterator[np.ndarray]:
         """Arrays of all poses."""
 
-    def moved(self, step: Float[np.ndarray, "k u"], middle: Float[np.ndarray, "3"]) -> Self:
+    def moved(self, step: Float[np.ndarray, "k u"], middle: Float[np.ndarray, "3"]) -> Any:
         """Each changed by a step, turns about a point."""
 
-    def part(self, rows: Any) -> Self:
+    def part(self, rows: Any) -> Any:
         """Some of them."""
 
 
@@ -298,7 +309,7 @@ def _unlikely(
     residual: Float[np.ndarray, "rows"],
     slope: Float[np.ndarray, "rows u"],
     parts: list[np.ndarray],
-    groups: list[Int[np.ndarray, "k"]],
+    groups: list[np.ndarray],
     told: int,
     ridge: Float[np.ndarray, "u u"],
 ) -> float:

@@ -27,9 +27,10 @@ _STUDENT = 4.0
 """Degrees of freedom of the contacts' errors, as of a surface fit."""
 _GROSS = 1e-3
 """Probability of a contact's squared residual below which it is an outlier."""
-_FREE, _NULL = 1e-7, 1e-3
-"""Information along a direction, relative to the largest, below which nothing determines it, and
-share of such a direction in a parameter from which that is not determined either.
+_FREE, _NULL = 1.0, 1e-3
+"""Information along a direction below which nothing determines it, a deviation of one: a radian,
+the extent, or a factor of e; and share of such a direction in a parameter from which that is not
+determined either.
 """
 _WORSE = 1e-6
 """Probability of the misfit below which a word is due."""
@@ -226,7 +227,7 @@ def _spread(
     """
     alike = likeness(given, found)
     values, axes = np.linalg.eigh(alike.information)
-    known = values > _FREE * values[-1]
+    known = values > _FREE
     inverse = (axes[:, known] / values[known]) @ axes[:, known].T
     return alike.share, inverse, axes[:, ~known].T
 

@@ -57,9 +57,10 @@ class Noise(NamedTuple):
         weight: Float[np.ndarray, "n"],
         reach: float,
         extent: float,
+        doubt: float = _DOUBT,
     ) -> "Noise":
         """Errors, where surfaces are curved so and single contacts count less than fully."""
-        scale = _ends(sites, reach) ** 2 / weight
+        scale = _ends(sites, reach, doubt) ** 2 / weight
         root = np.sqrt(scale)[:, None, None]
         factor, alone = _errors(sites.normal, sites.covariance, curvature, extent)
         groups = _chunks(sites)
@@ -114,14 +115,14 @@ def _errors(
     return rows @ root, alone + np.diag([(_FLOOR[0] * extent) ** 2, *[_FLOOR[1] ** 2] * 3])
 
 
-def _ends(sites: Sites, reach: float) -> Float[np.ndarray, "n"]:
+def _ends(sites: Sites, reach: float, doubt: float) -> Float[np.ndarray, "n"]:
     """Factor of the deviations: larger at starts and ends of sweeps."""
     factor = np.ones(len(sites.order))
     for rows in _sweeps(sites):
         if len(rows) == 1:  # contacts that belong to no sweep, or pools of several
             continue
         order = sites.order[rows]
-        factor[rows] += _DOUBT * np.exp(-np.minimum(order - order[0], order[-1] - order) / reach)
+        factor[rows] += doubt * np.exp(-np.minimum(order - order[0], order[-1] - order) / reach)
     return factor
 
 

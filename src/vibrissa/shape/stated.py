@@ -57,7 +57,9 @@ class Stated(NamedTuple):
         first = level.folds.first if level.folds else level.total
         bent = first.curvature(points) + level.ball.curvature(points)
         sharp = np.linalg.norm(bent, axis=(1, 2)) * _UNSURE * extent
-        return cls(points, np.hypot(1.0, sharp) / steepness, _aside(points, contacts, extent), extent)
+        return cls(
+            points, np.hypot(1.0, sharp) / steepness, _aside(points, contacts, extent), extent
+        )
 
     def away(self, contacts: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "n"]:
         """Distances of the points from the nearest contact."""

@@ -201,3 +201,69 @@ def test_files_that_hold_no_surface(text, said, tmp_path, capsys):
     assert "contacts.csv" in run.err
     assert said in run.err
     assert "Traceback" not in run.err
+
+
+def test_a_shape_is_read_back_from_its_ply(tmp_path):
+    contacts = rings(BALL, np.random.default_rng(0), sweeps=6)
+    swept = np.stack([[[0.05, 0, z], [0.03, 0, z]] for z in np.linspace(-0.02, 0.02, 5)])
+    shape = vb.fit_shape(contacts, swept=swept, length_scale=0.03)
+    path = vb.io.write_shape(tmp_path / "ball.ply", shape.mesh(0.004), fitted=shape)
+    again = vb.io.read_shape(path)
+    places = 0.02 * np.random.default_rng(1).normal(size=(50, 3))
+    assert np.array_equal(again.distance(places), shape.distance(places))
+    assert np.array_equal(again.deviation(places), shape.deviation(places))
+    assert again.length_scale == 0.03
+    assert again.swept.shape == (10, 3)
+
+
+def test_a_mesh_without_contacts_is_no_shape(mesh, tmp_path):
+    path = vb.io.write_shape(tmp_path / "bare.ply", mesh)
+    with pytest.raises(vb.io.InputError, match=r"bare.ply: a mesh without the contacts.*allowed"):
+        vb.io.read_shape(path)
+
+
+CASE = """
+[rod]
+kind = "cylinder"
+length = 0.05
+radius = 0.25e-3
+youngs_modulus = 206e9
+
+[object]
+kind = "sphere"
+center = [0, 0, 0]
+radius = 0.02
+
+[[trail]]
+kind = "raster"
+start = [0.04, -0.004, -0.05]
+stop = [-0.05, -0.004, -0.05]
+count = 60
+step = [0, 0.008, 0]
+trails = 2
+"""
+
+
+def test_the_next_sweep_of_a_case(contacts, tmp_path, capsys):
+    case, shape = tmp_path / "case.toml", tmp_path / "shape.ply"
+    case.write_text(CASE)
+    vibrissa(capsys, "fit", *contacts, "-o", shape)
+    path = tmp_path / "next.csv"
+    ran = vibrissa(capsys, "next", shape, case, "--around", "-o", path, "--json")
+    assert ran.status == 0
+    said = json.loads(ran.out)
+    assert said["candidates"] == 120
+    best = said["best"][0]
+    assert best["status"] == "OK"
+    assert 0 < best["gain"] <= said["unknown"]
+    trail = vb.Trail.from_csv(path)
+    assert np.allclose(trail.position[0], best["start"])
+    assert np.allclose(trail.position[-1], best["stop"])
+    given = vb.load_case(case).trail
+    # A rotation of the case's own: its length stays.
+    ends = given.position[0, [0, -1]], trail.position[[0, -1]]
+    before, after = (np.linalg.norm(last - first) for first, last in ends)
+    assert after == pytest.approx(before)
+    text = vibrissa(capsys, "next", shape, case, "--tolerance", "1e-3").out
+    assert "2 sweeps, 0 of them refused" in text
+    assert "% not known to 0.001 m" in text

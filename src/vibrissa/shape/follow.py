@@ -76,7 +76,8 @@ def follow(
     rod: Rod,
     start: Trail,
     *,
-    plane: tuple[ArrayLike, ArrayLike] | None = None,
+    point: ArrayLike | None = None,
+    normal: ArrayLike | None = None,
     tolerance: float | None = None,
     clearance: float = 0.0,
     friction: float = 0.0,
@@ -93,8 +94,8 @@ def follow(
         The rod that is swept, in units of the trails.
     start
         A first trail that touches the object.
-    plane
-        A point and a normal; by default the plane of the first trail's clamp axis and motion.
+    point, normal
+        (3,) each, of the plane; by default that of the first trail's clamp axis and motion.
     tolerance
         Standard deviation to which the curve is to be known; by default a five-hundredth of the
         rod's length.
@@ -110,24 +111,24 @@ def follow(
         determine a plane, or an argument is not positive.
     """
     limit = _TOLERANCE * rod.length if tolerance is None else positive(tolerance, "tolerance")
-    cut = _Plane.of(start) if plane is None else _Plane.given(*plane)
+    cut = _Plane.of(start, point, normal)
     felt: list[Reconstruction] = []
     trails, driven = [start], set[int]()
     for number in range(whole_number(most, "most")):
         felt.append(sweep(trails[-1]))
         shape = fit_shape([each.contacts for each in felt], swept=[_missed(each) for each in felt])
-        point, back = _traced(shape, cut)
-        deviation = shape.deviation(point)
+        curve, back = _traced(shape, cut)
+        deviation = shape.deviation(curve)
         closed = back and bool(np.all(deviation <= limit))
         if closed or number == most - 1:
             break
         planned = next_sweep(
             shape,
             rod,
-            cut.stands(rod, point),
+            cut.stands(rod, curve),
             clearance=clearance,
             friction=friction,
-            places=point[deviation > limit] if np.any(deviation > limit) else point,
+            places=curve[deviation > limit] if np.any(deviation > limit) else curve,
         )
         # A stand that did not reach what it was expected to will not do so now.
         new = [row for row in planned.order.tolist() if row not in driven]
@@ -135,7 +136,7 @@ def follow(
             break
         driven.add(new[0])
         trails.append(planned.candidates[new[0]])
-    return Followed(point, deviation, closed, shape, trails)
+    return Followed(curve, deviation, closed, shape, trails)
 
 
 def _missed(found: Reconstruction) -> Float[np.ndarray, "k m 3"]:
@@ -152,25 +153,22 @@ class _Plane(NamedTuple):
     axes: Float[np.ndarray, "2 3"]
 
     @classmethod
-    def of(cls, trail: Trail) -> "_Plane":
-        """That of a clamp's axis and motion."""
+    def of(cls, trail: Trail, point: ArrayLike | None, normal: ArrayLike | None) -> "_Plane":
+        """From a point and a normal of any length; by default those of a clamp's axis and motion."""
         moved = trail.position[-1] - trail.position[0]
-        normal = np.cross(trail.axis[0], moved)
-        if np.linalg.norm(normal) < 1e-6 * np.linalg.norm(moved) or not moved.any():
-            raise ValueError(
-                "start moves along its rod, which determines no plane; allowed is a sweep across, "
-                "or `plane=`"
-            )
-        return cls.given(trail.position[0], normal)
-
-    @classmethod
-    def given(cls, point: ArrayLike, normal: ArrayLike) -> "_Plane":
-        """From a point and a normal of any length."""
-        across = unit_vector(normal, "plane[1]")
+        if normal is None:
+            normal = np.cross(trail.axis[0], moved)
+            if np.linalg.norm(normal) <= _PARALLEL * np.linalg.norm(moved):
+                raise ValueError(
+                    "start moves along its rod, which determines no plane; allowed is a sweep "
+                    "across, or `normal=`"
+                )
+        through = trail.position[0] if point is None else point
+        across = unit_vector(normal, "normal")
         first = np.cross(across, np.eye(3)[np.argmin(np.abs(across))])
         first /= np.linalg.norm(first)
         axes = np.stack([first, np.cross(across, first)])
-        return cls(finite_array(point, "plane[0]", last=3, ndim=1), across, axes)
+        return cls(finite_array(through, "point", last=3, ndim=1), across, axes)
 
     def within(self, vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
         """Their parts in the plane."""
@@ -231,6 +229,8 @@ def _onto(shape: Shape, cut: _Plane, point: Float[np.ndarray, "3"]) -> Float[np.
     return point
 
 
+_PARALLEL = 1e-6
+"""Sine of an angle that is none."""
 _ROUNDS, _SETTLED = 20, 1e-6
 """Steps of Newton's method, and the last one, relative to the extent."""
 _FLAT = 0.01

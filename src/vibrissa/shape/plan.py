@@ -38,7 +38,7 @@ _PLACES = 400
 """Places of the surface whose uncertainty counts."""
 _POSITIONS, _ALONG = 16, 16
 """Clamp positions of a candidate, and points along a straight rod."""
-_MODELLED = 8
+_MODELLED = 12
 """Candidates that are scanned at a time."""
 _CONTACTS = 10
 """Contacts of a sweep that are expected to say something: neighbours say the same."""
@@ -168,7 +168,7 @@ def next_sweep(
         status[chosen[overstrained]] = Status.OVERSTRAINED
         sound = found.in_contact & (found.status == Status.OK)
         touched = [point[rows] for point, rows in zip(found.point, sound, strict=True)]
-        gain[chosen] = np.where(overstrained, 0.0, likely[chosen] * gains.expected(touched, JET))
+        gain[chosen] = np.where(overstrained, 0.0, gains.expected(touched, JET))
         for row, points in zip(chosen.tolist(), touched, strict=True):
             contacts[row] = points
     order = np.lexsort((-gain, ~scanned, status != Status.OK))

@@ -157,7 +157,7 @@ def located(surface: Surface, everything: Gathered) -> Location:
     first = int(np.argmin(found.misfit))
     alike, least = likeness(given, found.part(slice(first, first + 1))), found.misfit[first]
     freedom = 3 * len(given.point) - 6
-    fits = freedom <= 0 or chi2.sf(alike.share * least, alike.share * freedom) > _WORSE
+    fits = freedom <= 0 or bool(chi2.sf(alike.share * least, alike.share * freedom) > _WORSE)
     listed, evidence = _listed(surface, given, poses, found, alike.factor, follow=fits)
     freedom += len(listed[0].free)
     warnings = []

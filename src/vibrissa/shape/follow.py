@@ -154,7 +154,7 @@ class _Plane(NamedTuple):
 
     @classmethod
     def of(cls, trail: Trail, point: ArrayLike | None, normal: ArrayLike | None) -> "_Plane":
-        """From a point and a normal of any length; by default those of a clamp's axis and motion."""
+        """From a point and a normal; by default those of a clamp's axis and motion."""
         moved = trail.position[-1] - trail.position[0]
         if normal is None:
             normal = np.cross(trail.axis[0], moved)

@@ -14,7 +14,7 @@ BALL = vb.surfaces.Sphere(center=(0, 0, 0), radius=RADIUS)
 
 @pytest.fixture(scope="module")
 def shape() -> vb.Shape:
-    return vb.fit_shape(rings(BALL, np.random.default_rng(0), sweeps=6, contacts=30))
+    return vb.fit_shape(rings(BALL, np.random.default_rng(0), sweeps=9, contacts=40))
 
 
 @pytest.fixture(scope="module")

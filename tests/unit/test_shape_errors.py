@@ -19,7 +19,7 @@ def ball(
 
 
 def fitted(seed: int) -> vb.Shape:
-    return vb.fit_shape(rings(ball(), np.random.default_rng(seed), sweeps=6, contacts=30))
+    return vb.fit_shape(rings(ball(), np.random.default_rng(seed), sweeps=9, contacts=40))
 
 
 @pytest.fixture(scope="module")
@@ -165,7 +165,7 @@ def test_only_what_differs_is_found():
 
 def placed_at(middle: np.ndarray, covariance: np.ndarray, free: np.ndarray) -> vb.Location:
     pose = vb.Pose(Rotation.identity(), np.zeros(3), covariance, free, 0.0)
-    return vb.Location(ball(), [pose], middle, 10, [])
+    return vb.Location(ball(), [pose], middle, 10, 0.0, [])
 
 
 def test_an_uncertain_pose_counts(shape):

@@ -1,5 +1,7 @@
 """Following a girth unaided: each sweep is planned from what the last ones told."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple

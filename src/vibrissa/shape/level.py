@@ -13,6 +13,10 @@ _STEP = 0.04
 """Step of numerical second derivatives, in lengths over which directions count: the coordinates
 change little over it.
 """
+STEEP = 0.3
+"""Least gradient that levels are divided by: inside, where faces are equally far, it vanishes."""
+_STEPS, _SETTLED = 12, 1e-5
+"""Steps towards the closest point, and the last one, relative to the extent."""
 
 
 class Level(NamedTuple):
@@ -43,6 +47,29 @@ class Level(NamedTuple):
     def variance(self, points: Points) -> Values:
         """Of the value at points."""
         return self.found.variance(self.places(points))
+
+    def feet(self, points: Points, extent: float) -> Points:
+        """Places of the surface closest to points: steps onto the tangent plane of the level
+        surface through the last place, and along it to where the point's perpendicular meets it.
+        """
+        feet, going = points.copy(), np.arange(len(points))
+        longest = 0.1 * extent
+        for _ in range(_STEPS):
+            here = feet[going]
+            jets = self.jets(here)
+            length = np.maximum(np.linalg.norm(jets[:, 1:], axis=1), STEEP)
+            normal = jets[:, 1:] / length[:, None]
+            apart = points[going] - here
+            along = apart - np.einsum("ni,ni->n", apart, normal)[:, None] * normal
+            onto = np.clip(jets[:, 0] / length, -longest, longest)
+            size = np.linalg.norm(along, axis=1)
+            shorter = np.minimum(1.0, longest / np.maximum(size, 1e-300))
+            moved = 0.7 * shorter[:, None] * along - onto[:, None] * normal
+            feet[going] = here + moved
+            going = going[np.linalg.norm(moved, axis=1) > _SETTLED * extent]
+            if not len(going):
+                break
+        return feet
 
     def curvature(self, points: Points) -> Float[np.ndarray, "n 3 3"]:
         """Second derivatives of the mean."""

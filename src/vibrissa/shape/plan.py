@@ -6,6 +6,8 @@ All candidates are compared by a rod that stays straight and touches where it is
 best of them are scanned.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -10,17 +10,15 @@ from numpy.typing import ArrayLike
 
 from vibrissa.contacts import Contacts
 from vibrissa.geometry.checks import finite_array, positive
-from vibrissa.shape.level import Level
+from vibrissa.shape.level import STEEP, Level
 from vibrissa.shape.mesh import ShapeMesh, box_of, extracted, lattice_of
 from vibrissa.shape.occupancy import Occupancy, lattice_points, probability_inside
 from vibrissa.shape.sites import Sites
-from vibrissa.shape.stated import STEEP, Stated
+from vibrissa.shape.stated import Stated
 
 if TYPE_CHECKING:
     from vibrissa.surfaces import Surface
 
-_STEPS, _SETTLED = 12, 1e-5
-"""Steps towards the closest point, and the last one, relative to the extent."""
 _KNOWN = 0.01
 """Standard deviation, relative to the extent of the contacts, below which a surface counts as seen:
 its 95 % interval is then a twenty-fifth of the object's size wide.
@@ -106,7 +104,7 @@ class Shape:
         """Points (…, 3) of the mean surface closest to points (…, 3). Raises ValueError as
         `distance` does.
         """
-        return self._rows(points, self._feet)
+        return self._rows(points, lambda flat: self.level.feet(flat, self.extent))
 
     def mesh(self, resolution: float | None = None, *, extrapolate: bool = False) -> ShapeMesh:
         """Triangles of the mean surface, where the contacts say something.
@@ -189,31 +187,8 @@ class Shape:
 
     def _distances(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
         jets = self.level.jets(points)
-        apart = np.linalg.norm(points - self._feet(points), axis=1)
+        apart = np.linalg.norm(points - self.level.feet(points, self.extent), axis=1)
         return np.copysign(apart, jets[:, 0])
-
-    def _feet(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-        """Steps onto the tangent plane of the level surface through the last place, and along it to
-        where the point's own perpendicular meets it.
-        """
-        feet, going = points.copy(), np.arange(len(points))
-        longest = 0.1 * self.extent
-        for _ in range(_STEPS):
-            here = feet[going]
-            jets = self.level.jets(here)
-            length = np.maximum(np.linalg.norm(jets[:, 1:], axis=1), STEEP)
-            normal = jets[:, 1:] / length[:, None]
-            apart = points[going] - here
-            along = apart - np.einsum("ni,ni->n", apart, normal)[:, None] * normal
-            onto = np.clip(jets[:, 0] / length, -longest, longest)
-            size = np.linalg.norm(along, axis=1)
-            shorter = np.minimum(1.0, longest / np.maximum(size, 1e-300))
-            moved = 0.7 * shorter[:, None] * along - onto[:, None] * normal
-            feet[going] = here + moved
-            going = going[np.linalg.norm(moved, axis=1) > _SETTLED * self.extent]
-            if not len(going):
-                break
-        return feet
 
     def _deviations(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
         stated = Stated.at(self.level, points, self.sites.point, self.extent)

@@ -6,10 +6,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import KDTree
 
-from vibrissa.shape.level import Level
+from vibrissa.shape.level import STEEP, Level
 
-STEEP = 0.3
-"""Least gradient that levels are divided by: inside, where faces are equally far, it vanishes."""
 _UNSURE = 0.04
 """Deviation that an angle between faces adds, relative to the extent, per curvature: directions of
 the first surface are taken as known, and are not at edges. Squared residuals at an edge between
@@ -40,7 +38,7 @@ class Stated(NamedTuple):
     points: Float[np.ndarray, "n 3"]
     factor: Float[np.ndarray, "n"]
     aside: Float[np.ndarray, "n"]
-    """1 beyond contacts, 0 between them."""
+    """1 where the closest place of the surface is beyond contacts, 0 between them."""
     extent: float
 
     @classmethod
@@ -57,9 +55,8 @@ class Stated(NamedTuple):
         first = level.folds.first if level.folds else level.total
         bent = first.curvature(points) + level.ball.curvature(points)
         sharp = np.linalg.norm(bent, axis=(1, 2)) * _UNSURE * extent
-        return cls(
-            points, np.hypot(1.0, sharp) / steepness, _aside(points, contacts, extent), extent
-        )
+        beyond = _aside(level.feet(points, extent), contacts, extent)
+        return cls(points, np.hypot(1.0, sharp) / steepness, beyond, extent)
 
     def away(self, contacts: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "n"]:
         """Distances of the points from the nearest contact."""

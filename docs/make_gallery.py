@@ -1,5 +1,5 @@
 """Draw the gallery: `uv run python docs/make_gallery.py [NAME ...]` writes one picture for each
-kind of object into docs/images/gallery.
+kind of object, and one of a surface fitted to what was felt, into docs/images/gallery.
 """
 
 import sys
@@ -15,9 +15,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from mpl_toolkits.mplot3d import Axes3D
+from mpl_toolkits.mplot3d.art3d import Line3DCollection
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 import vibrissa as vb
+from vibrissa.drawing import KIND_COLOURS
 from vibrissa.plot import journal, save_as
 
 IMAGES = Path(__file__).parent / "images" / "gallery"
@@ -258,6 +261,52 @@ def picture(exhibit: Exhibit) -> tuple[Axes3D, vb.Scan]:
     return axes, scan
 
 
+def touch_to_shape() -> tuple[Axes3D, vb.Shape]:
+    """A wire with a noisy sensor sweeps over three sides of a rounded block; the surface through
+    its contacts, and some of its elastic lines.
+    """
+    block = vb.surfaces.Offset(
+        vb.surfaces.Box(center=(0, 0, 0), half_extents=(0.017, 0.014, 0.012)), 0.003
+    )
+    sensor = vb.Sensor(
+        np.array([0.0, 0.0, 0.025]),
+        np.array([0.0, 0.0, 0.0, 1.0]),
+        "on_sensor",
+        tare_seconds=0.95,
+        force_noise=2e-3,
+        torque_noise=4e-5,
+        position_noise=1e-5,
+    )
+    arm = vb.SimulatedArm(WIRE, block, sensor, rate=50.0, rng=np.random.default_rng(0))
+    found = []
+    for axis, angle in (("x", -90), ("x", 180), ("y", -90)):  # from −y, from above, from +x
+        side = Rotation.from_euler(axis, angle, degrees=True)
+        for offset in (-0.012, -0.006, 0.0, 0.006, 0.012):
+            ends = side.apply([[0.04, offset, -0.05], [-0.04, offset, -0.05]])
+            found.append(arm(vb.Trail(ends, np.tile(side.as_quat(), (2, 1)))))
+    shape = vb.fit_shape([each.contacts for each in found])
+    axes = vb.plot.shape_figure(shape.mesh())
+    lines = [_draw_lines(axes, each) for each in found[::4]]
+    _hold(axes, np.vstack([*lines, 1e3 * shape.sites.point]))
+    return axes, shape
+
+
+def _draw_lines(axes: Axes3D, found: vb.Reconstruction) -> np.ndarray:
+    """Every eighth elastic line of a sweep, coloured by the kind of contact; its points [mm]."""
+    rows = np.flatnonzero(found.in_contact & (found.status == vb.Status.OK))[::8]
+    lines = 1e3 * found.elastic_lines(rows, 40)
+    colours = [KIND_COLOURS[vb.ContactKind(int(kind))] for kind in found.kind[rows]]
+    axes.add_collection3d(Line3DCollection(lines, colors=colours, linewidths=0.6))
+    return lines.reshape(-1, 3)
+
+
+def _hold(axes: Axes3D, points: np.ndarray) -> None:
+    """Set limits around points, at equal scales."""
+    low, high = points.min(axis=0) - 2, points.max(axis=0) + 2
+    axes.set(**{f"{name}lim": ends for name, *ends in zip("xyz", low, high, strict=True)})
+    axes.set_box_aspect(high - low)
+
+
 def _small(path: Path) -> Path:
     """Keep 256 colours; without k-means the few pixels of a thin line would lose theirs."""
     with Image.open(path) as image:
@@ -282,6 +331,12 @@ def main(names: list[str]) -> list[Path]:
             for code, count in zip(*np.unique(scan.status, return_counts=True), strict=True)
         )
         print(f"{paths[-1].name}: {kinds}; {status}", flush=True)  # noqa: T201
+    if not names or "touch_to_shape" in names:
+        with journal():
+            mpl.rcParams["savefig.dpi"] = 180
+            axes, shape = touch_to_shape()
+            paths.append(_small(save_as(axes, IMAGES / "touch_to_shape.png")))
+        print(f"{paths[-1].name}: {shape}", flush=True)  # noqa: T201
     return paths
 
 

@@ -34,13 +34,13 @@ from vibrissa.shape.stated import Stated
 from vibrissa.surfaces import Lattice
 from vibrissa.trail import Trail
 
-_NODES = 24
-"""Nodes along each axis of the surface that is scanned: 3 mm on an object of 70 mm."""
+_NODES = 20
+"""Nodes along each axis of the surface that is scanned: 3 mm on an object of 60 mm."""
 _PLACES = 400
 """Places of the surface whose uncertainty counts."""
 _POSITIONS, _ALONG = 16, 16
 """Clamp positions of a candidate, and points along a straight rod."""
-_MODELLED = 12
+_MODELLED = 8
 """Candidates that are scanned at a time."""
 _CONTACTS = 10
 """Contacts of a sweep that are expected to say something: neighbours say the same."""

@@ -27,6 +27,7 @@ def test_each_object_is_told_by_twelve_contacts(name: str) -> None:
     np.testing.assert_allclose(found.location.placed.distances(contacts.point), 0, atol=2e-4)
 
 
+@pytest.mark.slow
 def test_probabilities_are_as_often_right_as_they_say() -> None:
     # The third axis of one differs by three deviations of what three contacts tell.
     like = {

@@ -6,10 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
+from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 from touched import NORMAL, POINT, joined, on_surface
 
 import vibrissa as vb
+from vibrissa.shape.kernel import covariance
+from vibrissa.shape.plan import _Gains
 
 WIRE = vb.Rod.cylinder(length=0.05, radius=0.25e-3, youngs_modulus=206e9)
 OBJECT = vb.surfaces.Ellipsoid(center=(0, 0, 0), semi_axes=(0.026, 0.021, 0.017))
@@ -73,6 +77,32 @@ def test_gain_is_what_the_sweep_then_takes_away(known, ranked):
     best = int(np.argmax(told))
     assert true[best] > max(true) - 0.15
     assert np.allclose(told, true, atol=0.35)
+
+
+@pytest.mark.parametrize("jets", [1, 4], ids=["points", "points and normals"])
+def test_what_contacts_take_away_is_that_of_plain_conditioning(known, jets):
+    shape = vb.fit_shape(known)
+    found, rng = shape.level.found, np.random.default_rng(3)
+    assert len(found.basis.sites.value) == len(shape.sites.point)
+    places, new = (on_surface(OBJECT, 0.02 * rng.normal(size=(count, 3))) for count in (30, 6))
+    gains = _Gains.of(shape, places, None)
+    both = shape.level.places(np.concatenate([places, new]))
+    prior = covariance(found.basis.kernel, both, both)
+    among = found.basis.root @ found.basis.root.T
+    weights = np.linalg.solve(among, covariance(found.basis.kernel, found.basis.sites, both)).T
+    precision = found.root @ found.root.T
+    of_sites = found.basis.root @ np.linalg.solve(precision, found.basis.root.T)
+    given = prior + weights @ (of_sites - among) @ weights.T
+    told = 4 * np.arange(30, 36)[:, None] + np.arange(jets)
+    seen = given[np.ix_(told.ravel(), told.ravel())]
+    seen += block_diag(*gains._errors(new)[:, :jets, :jets])
+    values = 4 * np.arange(30)
+    cross = given[np.ix_(values, told.ravel())]
+    left = np.diag(given)[values] - np.sum(cross * np.linalg.solve(seen, cross.T).T, axis=1)
+    away = np.minimum(*(KDTree(those).query(places)[0] for those in (shape.sites.point, new)))
+    wanted = gains.unknown - gains.stated.deviations(np.maximum(left, 0), away).mean()
+    assert gains.expected([new], jets)[0] == pytest.approx(wanted, rel=1e-4)
+    assert gains.unknown == pytest.approx(shape.deviation(places).mean(), rel=1e-6)
 
 
 def test_contacts_are_expected_where_they_will_be(ranked):

@@ -25,7 +25,7 @@ from vibrissa.geometry.checks import finite_array, not_negative, positive
 from vibrissa.mechanics.shape import free_lines
 from vibrissa.rod import Rod
 from vibrissa.shape.kernel import JET, Coordinates, covariance, covariance_of_values
-from vibrissa.shape.level import Level
+from vibrissa.shape.level import STEEP, Level
 from vibrissa.shape.mesh import box_of
 from vibrissa.shape.noise import Noise
 from vibrissa.shape.shape import Shape
@@ -196,9 +196,8 @@ class _Planned(NamedTuple):
         near = np.argwhere(np.abs(values) < thick)
         near = near[np.random.default_rng(0).permutation(len(near))[: 3 * _PLACES]]
         points = low + spacing * near
-        for _ in range(3):
-            points = _onto(surface, points)
-        points = points[np.abs(_level(surface, points)) < 0.1 * thick]
+        points = _onto(surface, points)
+        points = points[np.abs(_level(surface, points)) < _MISSED * thick]
         return cls(surface, points[spread_out(points, _PLACES)])
 
     def inside(self, shape: Shape, trails: Trail, clearance: float) -> Bool[np.ndarray, "m"]:
@@ -222,8 +221,7 @@ class _Planned(NamedTuple):
         depth = -np.take_along_axis(level, deepest, axis=2)[..., 0]
         row = np.arange(len(depth)), np.argmax(depth, axis=1)
         likely = ndtr(depth[row] / shape.deviation(point[row]))
-        for _ in range(3):
-            point[depth >= 0] = _onto(self.surface, point[depth >= 0])
+        point[depth >= 0] = _onto(self.surface, point[depth >= 0])
         return [each[rows >= 0] for each, rows in zip(point, depth, strict=True)], likely
 
     def scanned(self, rod: Rod, trails: Trail, rows: Int[np.ndarray, "k"], friction: float) -> Scan:
@@ -261,13 +259,23 @@ def _level(surface: Lattice, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndar
 
 
 def _onto(surface: Lattice, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    """A step of Newton's method towards the surface."""
-    step = 0.05 * float(np.min(surface.spacing))
-    moved = points[:, None] + step * np.concatenate([np.eye(3), -np.eye(3)])
-    told = _level(surface, moved)
-    slope = (told[:, :3] - told[:, 3:]) / (2 * step)
-    squared = np.maximum(np.sum(slope**2, axis=1), 0.1)
-    return points - (_level(surface, points) / squared)[:, None] * slope
+    """Points of the surface, by Newton's method along its slope."""
+    step = _DIFFERENCE * float(np.min(surface.spacing))
+    for _ in range(_ROUNDS):
+        moved = points[:, None] + step * np.concatenate([np.eye(3), -np.eye(3)])
+        told = _level(surface, moved)
+        slope = (told[:, :3] - told[:, 3:]) / (2 * step)
+        squared = np.maximum(np.sum(slope**2, axis=1), STEEP**2)
+        points = points - (_level(surface, points) / squared)[:, None] * slope
+    return points
+
+
+_DIFFERENCE = 0.05
+"""Step of numerical slopes, in the lattice's spacing."""
+_ROUNDS, _MISSED = 3, 0.1
+"""Steps towards the surface, and level of those left out that are not on it then, in the thickness
+of the layer they come from.
+"""
 
 
 class _Gains(NamedTuple):
@@ -288,11 +296,8 @@ class _Gains(NamedTuple):
         cls, shape: Shape, points: Float[np.ndarray, "n 3"], tolerance: float | None
     ) -> "_Gains":
         """At points of the surface."""
-        stated, found = (
-            Stated.at(shape.level, points, shape.sites.point, shape.extent),
-            shape.level.found,
-        )
-        places = shape.level.places(points)
+        stated = Stated.at(shape.level, points, shape.sites.point, shape.extent)
+        places, found = shape.level.places(points), shape.level.found
         rows = found.basis.values(places)
         left = solve_triangular(found.root, rows, lower=True, check_finite=False)
         variance = found.basis.kernel.variance + np.sum(left**2 - rows**2, axis=0)
@@ -325,9 +330,8 @@ class _Gains(NamedTuple):
         here, kernel = level.places(points), found.basis.kernel
         rows = found.basis.jets(here) if jets == JET else found.basis.values(here)
         left = solve_triangular(found.root, rows, lower=True, check_finite=False)
-        cross = covariance_of_values(kernel, self.places, here)[
-            :, np.arange(JET * len(points)) % JET < jets
-        ]
+        told_of = np.arange(JET * len(points)) % JET < jets
+        cross = covariance_of_values(kernel, self.places, here)[:, told_of]
         cross += self.left.T @ left - self.rows.T @ rows
         errors, first = self._errors(points)[:, :jets, :jets], 0
         for number, each in enumerate(few):
@@ -336,7 +340,7 @@ class _Gains(NamedTuple):
             ours = slice(first, first + len(each))
             columns, first = slice(jets * first, jets * ours.stop), ours.stop
             own = covariance(kernel, here.part(ours), here.part(ours))
-            kept = np.arange(len(own)) % JET < jets
+            kept = told_of[: len(own)]
             own = own[np.ix_(kept, kept)] + left[:, columns].T @ left[:, columns]
             own -= rows[:, columns].T @ rows[:, columns]
             own += block_diag(*errors[ours])

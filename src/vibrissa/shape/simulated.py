@@ -23,9 +23,9 @@ class SimulatedArm:
     Attributes
     ----------
     rod, surface, sensor
-        What is swept along what, and measured how.
+        What is swept along what, and measured how; in SI units.
     speed
-        Of the clamp point [m/s].
+        Of the clamp point, plus a rod's length per radian of its turning [m/s].
     rate
         Samples per second [1/s].
     friction
@@ -53,7 +53,8 @@ class SimulatedArm:
         positive(self.rate, "rate")
 
     def __call__(self, trail: Trail) -> Reconstruction:
-        """Drive a trail after a rest that is long enough for the tare.
+        """Smoothed contacts (n) along a trail, driven after a rest that is long enough for the tare.
+        Samples whose equilibrium was not found are missing.
 
         Raises
         ------

@@ -17,7 +17,6 @@ _AWAY = 3.0
 """Deviation that a distance from all contacts adds, both relative to the extent and the distance
 cubed: curvatures of a part seen from one side are not those of the other (ellipsoid, blob).
 """
-
 _UNSEEN = 0.5
 """Deviation that the distance from contacts adds where none are on the other side, relative to the
 extent, its relative power 3/2: beyond them the surface may turn anywhere, so that its slope is a
@@ -92,4 +91,4 @@ def _aside(
 
 
 _TINY = 1e-12
-"""Distance [m] that is none."""
+"""Distance that is none, in any unit."""

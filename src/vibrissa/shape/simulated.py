@@ -53,7 +53,7 @@ class SimulatedArm:
         positive(self.rate, "rate")
 
     def __call__(self, trail: Trail) -> Reconstruction:
-        """Smoothed contacts (n) along a trail, driven after a rest that is long enough for the tare.
+        """Smoothed contacts (n) along a trail, driven after a rest long enough for the tare.
         Samples whose equilibrium was not found are missing.
 
         Raises

@@ -8,6 +8,10 @@ faces of an edge are far apart while places along the edge stay near. Derivative
 chain rule with the slope J = ∂z/∂x:
 
 ∂k/∂x = −b Jᵀd, ∂²k/∂x∂y = b JᵀJ' − c (Jᵀd)(J'ᵀd)ᵀ, d = z − z', b = −k'/r, c = −b'/r.
+
+Differences d are never formed: sums over sites split into products of matrices, such as
+Σⱼ pⱼ (z − zⱼ) = z Σⱼ pⱼ − Σⱼ pⱼ zⱼ. Places count from the middle of the sites, so that what
+cancels is as small as it can be.
 """
 
 from typing import Any, NamedTuple
@@ -15,11 +19,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from vibrissa.numerics.lanes import in_threads
+
 Points = Float[np.ndarray, "n 3"]
 Values = Float[np.ndarray, "n"]
 _ROOT = np.sqrt(5.0)
-_BLOCK = 2**21
-"""Pairs of places evaluated at a time: some tens of MB."""
+_BLOCK = 2**16
+"""Pairs of places evaluated at a time: a few arrays of them fit into a core's cache."""
 JET = 4
 """Value and gradient."""
 _TINY = 1e-30
@@ -32,12 +38,15 @@ class Matern(NamedTuple):
     deviation: float
     length: float
 
-    def slopes(self, squared: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """k, b and c at squared distances."""
-        rate = _ROOT / self.length
-        t = rate * np.sqrt(squared)
-        fade = self.deviation**2 * np.exp(-t)
-        return (1 + t + t * t / 3) * fade, rate**2 / 3 * (1 + t) * fade, rate**4 / 3 * fade
+    @property
+    def rate(self) -> float:
+        """√5/ℓ."""
+        return float(_ROOT / self.length)
+
+    def faded(self, far: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Values of t and σ² exp(−t) at distances."""
+        t = self.rate * far
+        return t, self.deviation**2 * np.exp(-t)
 
 
 class Kernel(NamedTuple):
@@ -53,14 +62,27 @@ class Kernel(NamedTuple):
 
     def slopes(self, squared: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """k, b and c at squared distances."""
-        one, other = self.smooth.slopes(squared), self.rough.slopes(squared)
-        return one[0] + other[0], one[1] + other[1], one[2] + other[2]
+        k, b, c = np.zeros((3, *squared.shape))
+        for part in self:
+            t, fade = part.faded(np.sqrt(squared))
+            third = fade / 3
+            c += part.rate**4 * third
+            b += part.rate**2 * (1 + t) * third
+            k += (3 + t * (3 + t)) * third
+        return k, b, c
 
-    def third(self, squared: np.ndarray) -> np.ndarray:
-        """−c'/r = √5 c/(ℓ r)."""
+    def bends(self, squared: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """b, c and −c'/r = √5 c/(ℓ r) at squared distances."""
         far = np.sqrt(np.maximum(squared, _TINY))
-        parts = [_ROOT / part.length * part.slopes(squared)[2] / far for part in self]
-        return np.sum(parts, axis=0)
+        b, c, bend = np.zeros((3, *squared.shape))
+        for part in self:
+            t, fade = part.faded(far)
+            third = part.rate**2 / 3 * fade
+            b += (1 + t) * third
+            third *= part.rate**2
+            c += third
+            bend += part.rate * third
+        return b, c, bend / far
 
 
 class Coordinates(NamedTuple):
@@ -94,31 +116,35 @@ class Coordinates(NamedTuple):
         """Some of the places."""
         return Coordinates(self.value[rows], self.slope[rows])
 
+    def about(self, middle: Float[np.ndarray, "k"]) -> "Coordinates":
+        """The same, counted from another place."""
+        return self._replace(value=self.value - middle)
 
-def differences(left: Coordinates, right: Coordinates) -> tuple[np.ndarray, np.ndarray]:
-    """Differences z − z' (n, m, k) of coordinates, and their squares (n, m)."""
-    apart = left.value[:, None] - right.value[None]
-    return apart, np.einsum("nmk,nmk->nm", apart, apart)
+    def projections(
+        self, other: Float[np.ndarray, "m k"]
+    ) -> list[tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n m"]]]:
+        """Along each column of the slopes: of the places, and of others (m, k)."""
+        columns = np.moveaxis(self.slope, 2, 0)
+        return [(np.sum(self.value * own, axis=1), own @ other.T) for own in columns]
 
 
 def covariance(
     kernel: Kernel, left: Coordinates, right: Coordinates
 ) -> Float[np.ndarray, "left right"]:
     """Of values and gradients at the one places with those at the other (4 n, 4 m)."""
-    apart, squared = differences(left, right)
-    k, b, c = kernel.slopes(squared)
-    here = np.einsum("nmk,nki->nmi", apart, left.slope)
-    there = np.einsum("nmk,mki->nmi", apart, right.slope)
+    middle = right.value.mean(axis=0)
+    left, right = left.about(middle), right.about(middle)
+    k, b, c = kernel.slopes(_squared(left.value, right.value))
     whole = np.empty((len(left.value), JET, len(right.value), JET))
     whole[:, 0, :, 0] = k
+    here = [each[:, None] - met for each, met in left.projections(right.value)]
+    there = [met.T - each for each, met in right.projections(left.value)]
     for i in range(3):
-        whole[:, 0, :, 1 + i] = b * there[..., i]
-        whole[:, 1 + i, :, 0] = -b * here[..., i]
-    met = left.slope.reshape(len(left.value), -1, 3)
-    for i in range(3):
+        whole[:, 0, :, 1 + i] = b * there[i]
+        whole[:, 1 + i, :, 0] = -b * here[i]
         for j in range(3):
-            metric = met[:, :, i] @ right.slope[:, :, j].T
-            whole[:, 1 + i, :, 1 + j] = b * metric - c * here[..., i] * there[..., j]
+            metric = left.slope[:, :, i] @ right.slope[:, :, j].T
+            whole[:, 1 + i, :, 1 + j] = b * metric - c * here[i] * there[j]
     return whole.reshape(JET * len(left.value), -1)
 
 
@@ -126,12 +152,22 @@ def covariance_of_values(
     kernel: Kernel, left: Coordinates, right: Coordinates
 ) -> Float[np.ndarray, "left right"]:
     """Of values at the one places with values and gradients at the other (n, 4 m)."""
-    apart, squared = differences(left, right)
-    k, b, _ = kernel.slopes(squared)
+    middle = right.value.mean(axis=0)
+    left, right = left.about(middle), right.about(middle)
+    k, b, _ = kernel.slopes(_squared(left.value, right.value))
     whole = np.empty((len(left.value), len(right.value), JET))
     whole[..., 0] = k
-    whole[..., 1:] = b[..., None] * np.einsum("nmk,mki->nmi", apart, right.slope)
+    for i, (each, met) in enumerate(right.projections(left.value)):
+        whole[..., 1 + i] = b * (met.T - each)
     return whole.reshape(len(left.value), -1)
+
+
+def _squared(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Squared distances (n, m) between places (n, k) and (m, k)."""
+    whole = left @ (-2 * right.T)
+    whole += np.sum(left**2, axis=1)[:, None]
+    whole += np.sum(right**2, axis=1)
+    return np.maximum(whole, 0.0, out=whole)
 
 
 def variances(kernel: Kernel, places: Coordinates) -> Float[np.ndarray, "n 4 4"]:
@@ -152,21 +188,21 @@ class Sum(NamedTuple):
 
     def at(self, places: Coordinates) -> tuple[Values, Points]:
         """Values and gradients at places."""
-        first, second = (
-            self.weights[:, 0],
-            np.einsum("mki,mi->mk", self.sites.slope, self.weights[:, 1:]),
-        )
-        values, slopes = np.empty(len(places.value)), np.empty(places.value.shape)
-        step = max(_BLOCK // len(first), 1)
-        for start in range(0, len(values), step):
-            rows = slice(start, start + step)
-            apart, squared = differences(places.part(rows), self.sites)
-            k, b, c = self.kernel.slopes(squared)
-            along = np.einsum("nmk,mk->nm", apart, second)
-            values[rows] = k @ first + np.einsum("nm,nm->n", b, along)
+        first = self.weights[:, 0]
+        second = np.einsum("mki,mi->mk", self.sites.slope, self.weights[:, 1:])
+        middle = self.sites.value.mean(axis=0)
+        sites, own = self.sites.value - middle, np.sum((self.sites.value - middle) * second, axis=1)
+
+        def some(here: np.ndarray) -> np.ndarray:
+            k, b, c = self.kernel.slopes(_squared(here, sites))
+            along = here @ second.T - own
+            value = k @ first + np.sum(b * along, axis=1)
             pull = b * first + c * along
-            slopes[rows] = b @ second - (pull[:, None] @ apart)[:, 0]
-        return values, np.einsum("nki,nk->ni", places.slope, slopes)
+            slope = b @ second + pull @ sites - pull.sum(axis=1)[:, None] * here
+            return np.column_stack([value, slope])
+
+        found = self._in_parts(some, places.value - middle)
+        return found[:, 0], np.einsum("nki,nk->ni", places.slope, found[:, 1:])
 
     def curvature(self, points: Points) -> Float[np.ndarray, "n 3 3"]:
         """Second derivatives at places that are their own coordinates."""
@@ -175,18 +211,37 @@ class Sum(NamedTuple):
     def derivatives(self, points: Points) -> tuple[Points, Float[np.ndarray, "n 3 3"]]:
         """First and second derivatives at places that are their own coordinates."""
         first, second = self.weights[:, 0], self.weights[:, 1:]
-        slopes, curvatures = np.empty((len(points), 3)), np.empty((len(points), 3, 3))
-        step = max(_BLOCK // len(first), 1)
-        for start in range(0, len(points), step):
-            rows = slice(start, start + step)
-            apart, squared = differences(Coordinates.of(points[rows]), self.sites)
-            _, b, c = self.kernel.slopes(squared)
-            along = np.einsum("nmk,mk->nm", apart, second)
+        middle = self.sites.value.mean(axis=0)
+        sites = self.sites.value - middle
+        own = np.sum(sites * second, axis=1)
+        outer = _outer(sites, sites).reshape(-1, 9)
+        mixed = (_outer(sites, second) + _outer(second, sites)).reshape(-1, 9)
+
+        def some(here: np.ndarray) -> np.ndarray:
+            b, c, third = self.kernel.bends(_squared(here, sites))
+            along = here @ second.T - own
             pull = b * first + c * along
-            slopes[rows] = b @ second - (pull[:, None] @ apart)[:, 0]
-            bend = (c * first + self.kernel.third(squared) * along)[:, None]
-            weighted = (np.swapaxes(apart, 1, 2) * bend) @ apart
-            mixed = -(np.swapaxes(apart, 1, 2) * c[:, None]) @ second
-            curvatures[rows] = weighted + mixed + np.swapaxes(mixed, 1, 2)
-            curvatures[rows] -= pull.sum(axis=1)[:, None, None] * np.eye(3)
-        return slopes, curvatures
+            bend = c * first + third * along
+            slope = b @ second + pull @ sites - pull.sum(axis=1)[:, None] * here
+            # Σ bend d dᵀ − c (d wᵀ + w dᵀ) − pull I
+            aside = c @ second + bend @ sites - 0.5 * bend.sum(axis=1)[:, None] * here
+            curvature = (bend @ outer + c @ mixed).reshape(-1, 3, 3)
+            curvature -= _outer(aside, here) + _outer(here, aside)
+            curvature -= pull.sum(axis=1)[:, None, None] * np.eye(3)
+            return np.column_stack([slope, curvature.reshape(-1, 9)])
+
+        found = self._in_parts(some, points - middle)
+        return found[:, :3], found[:, 3:].reshape(-1, 3, 3)
+
+    def _in_parts(self, function: Any, places: np.ndarray) -> np.ndarray:
+        """A function (n, …) of places, as many at a time as suits the cache, on all cores."""
+        step = max(_BLOCK // len(self.weights), 1)
+        starts = range(0, max(len(places), 1), step)
+        return np.concatenate(
+            in_threads(lambda start: function(places[start : start + step]), starts)
+        )
+
+
+def _outer(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Products (n, 3, 3) of vectors."""
+    return one[:, :, None] * other[:, None]

@@ -71,9 +71,34 @@ def test_a_girth_that_cannot_be_reached_is_said_to_be_open():
     )
     girth = vb.follow(arm, WIRE, start, most=2)
     assert not girth.closed
+    assert not girth.complete
     assert len(girth.trails) == 2
     assert girth.deviation.max() > 2e-3 * WIRE.length
-    assert "not closed after 2 sweeps" in repr(girth)
+    assert "not complete after 2 sweeps" in repr(girth)
+
+
+def test_a_contour_is_followed_from_end_to_end():
+    """Along one side of the block and round a corner, not round the back."""
+    surface = BLOCK.placed(TURN)
+    arm = vb.SimulatedArm(WIRE, surface, SENSOR, rng=np.random.default_rng(2))
+    start = vb.Trail.line(
+        start=(0.04, -0.048, 0.002), stop=(-0.045, -0.048, 0.002), count=50, axis=(0, 1, 0)
+    )
+    ends = TURN.apply([[-0.010, -0.015, 0.002], [0.018, 0.004, 0.002]])
+    contour = vb.follow(arm, WIRE, start, ends=ends, tolerance=0.3e-3)
+    assert contour.complete
+    assert not contour.closed
+    away = np.abs(surface.distances(contour.point))
+    assert np.quantile(away, 0.95) < 0.3e-3
+    assert contour.deviation.max() <= 0.3e-3
+    for end, place in zip(ends, contour.point[[0, -1]], strict=True):
+        assert np.linalg.norm(end - place) < 0.5e-3
+    # The way along the front: 28 mm of the face, 8 mm of another, and the rounded edge between.
+    length = np.linalg.norm(np.diff(contour.point, axis=0), axis=1).sum()
+    exact = 0.025 + 0.003 * np.pi / 2 + 0.016
+    assert length == pytest.approx(exact, abs=0.5e-3)
+    with pytest.raises(ValueError, match=r"ends has shape \(1, 3\); allowed is \(2, 3\)"):
+        vb.follow(arm, WIRE, start, ends=ends[:1])
 
 
 def test_a_first_trail_along_its_rod_determines_no_plane():

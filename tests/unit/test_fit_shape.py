@@ -43,6 +43,8 @@ def test_distance_is_euclidean_far_from_the_surface(ellipsoid):
     assert ellipsoid.distance((0, 0, 0)) < -0.015
     feet = ellipsoid.nearest(points)
     np.testing.assert_allclose(ELLIPSOID.distances(feet), 0, atol=0.06e-3)
+    away = [[0.3, 0, 0], [-2, 5, 1], [0, 0.09, -0.09]]
+    np.testing.assert_allclose(ellipsoid.distance(away), ELLIPSOID.distances(away), atol=0.2e-3)
 
 
 def test_gradient_is_that_of_the_level(ellipsoid):
@@ -113,6 +115,35 @@ def test_far_from_contacts_little_is_known_and_missing_rods_say_more():
     assert away[1].mean() < 0.7 * away[0].mean()
     assert np.mean(away[1] < 1.96 * known.deviation(points[far])) > 0.93
     assert (known.level.values(lines.reshape(-1, 3)) > -0.3e-3).all()
+
+
+def test_rods_that_cannot_have_missed_are_named_and_do_not_count(ellipsoid):
+    through = np.linspace([-0.05, 0, 0], [0.05, 0, 0], 60)[None]
+    known = vb.fit_shape(rings(ELLIPSOID, np.random.default_rng(0)), swept=through)
+    assert any("rods that missed are up to 0.0" in line for line in known.warnings)
+    points = np.concatenate([samples(ELLIPSOID, 50), np.zeros((1, 3))])
+    np.testing.assert_allclose(known.distance(points), ellipsoid.distance(points), atol=0.05e-3)
+
+
+def test_of_very_many_contacts_some_are_used(monkeypatch):
+    from vibrissa.shape import sites
+
+    given = rings(ELLIPSOID, np.random.default_rng(0))
+    monkeypatch.setattr(sites, "_LARGEST", 200)
+    shape = vb.fit_shape(given)
+    assert np.array_equal(np.flatnonzero(shape.used), np.arange(0, len(given), 4))
+    assert shape.warnings[0] == "one contact in 4 is used, as 160 tell as much as all"
+    assert np.abs(shape.distance(samples(ELLIPSOID, 100))).mean() < 0.05e-3
+
+
+def test_deviations_grow_where_sweeps_disagree_with_the_surface_of_the_others():
+    """Three girths of a block, each the only one along two of its sides."""
+    given = rings(BLOCK, np.random.default_rng(2), sweeps=3)
+    shape, points = vb.fit_shape(given), samples(BLOCK)
+    assert shape.level.doubt > 1.2
+    away = np.abs(shape.distance(points))
+    assert np.mean(away < 1.96 * shape.deviation(points)) > 0.93
+    assert vb.fit_shape(rings(BLOCK, np.random.default_rng(2))).level.doubt < 1.2
 
 
 def test_units_do_not_matter():

@@ -65,7 +65,7 @@ def read_shape(path: str | Path) -> Shape:
     Parameters
     ----------
     path
-        PLY that `write_shape` wrote with `shape=`, or contacts in a format of `read_contacts`.
+        PLY that `write_shape` wrote of a `Shape`, or contacts in a format of `read_contacts`.
 
     Raises
     ------
@@ -73,12 +73,14 @@ def read_shape(path: str | Path) -> Shape:
         If the file cannot be read, holds no contacts, or too few to fit a surface to.
     """
     file = Path(path)
-    with reading(readable(file), "a shape"):
+    with reading(readable(file), "contacts"):
         held = _held(file) if file.suffix.lower() == ".ply" else None
     try:
         if held is None:
             return fit_shape(read_contacts(file))
         return fit_shape(held[0], swept=held[1], length_scale=held[2])
+    except InputError:
+        raise
     except ValueError as error:
         raise InputError(f"{file}: {error}") from error
 

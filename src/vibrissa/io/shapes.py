@@ -19,7 +19,7 @@ Fields = dict[str, Shaped[np.ndarray, "v"]]
 
 
 def write_shape(
-    path: str | Path, shape: ShapeMesh | Comparison, *, fitted: Shape | None = None
+    path: str | Path, shape: Shape | ShapeMesh | Comparison, *, fitted: Shape | None = None
 ) -> Path:
     """Write the mesh of a fitted surface, or of its comparison with a model, in the contacts' unit
     of length.
@@ -30,9 +30,10 @@ def write_shape(
         PLY or VTK's `.vtp` (ParaView): vertices with normal and fields, in double precision; binary
         glTF `.glb`: with the fields, in single precision; STL: triangles only, in single precision.
     shape
-        A mesh has the fields `deviation` and `seen`. A comparison has `distance`, its `deviation`,
-        `p_value` and `significant` besides, and colours, except in STL: blue where there is too
-        little material, red where there is too much, grey where that is not significant.
+        A fitted surface stands for its mesh, `fitted` by it. A mesh has the fields `deviation` and
+        `seen`. A comparison has `distance`, its `deviation`, `p_value` and `significant` besides,
+        and colours, except in STL: blue where there is too little material, red where there is too
+        much, grey where that is not significant.
     fitted
         The surface behind it: PLY then holds its contacts too, from which `read_shape` fits it
         again; the other formats do not.
@@ -44,6 +45,8 @@ def write_shape(
         trimesh is not installed, which STL and glTF need.
     """
     file = checked_output(path, SHAPE_SUFFIXES)
+    if isinstance(shape, Shape):
+        return write_shape(file, shape.mesh(), fitted=shape)
     mesh = shape.mesh if isinstance(shape, Comparison) else shape
     if not len(mesh.faces):
         raise InputError(f"{file}: the mesh has no triangle; allowed is a surface that was touched")

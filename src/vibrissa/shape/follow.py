@@ -1,4 +1,4 @@
-"""Following a girth unaided: each sweep is planned from what the last ones told."""
+"""Following a girth or a contour unaided: each sweep is planned from what the last ones told."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
+from scipy.spatial import KDTree
 
 from vibrissa.contacts import Status
 from vibrissa.geometry.checks import finite_array, positive, unit_vector, whole_number
@@ -24,7 +25,7 @@ _MISSED, _POINTS = 60, 30
 _STEP = 1 / 150
 """Distance between points of the girth, relative to the extent of the contacts."""
 _LONGEST = 12.0
-"""Length of a girth that closes, relative to that extent."""
+"""Length of a curve that closes or ends, relative to that extent."""
 _STANDS = 24
 """Directions in the plane from which sweeps are tried, both ways each."""
 _DEPTHS = (0.2, 0.35, 0.5)
@@ -34,14 +35,14 @@ _BEFORE, _AFTER = 0.15, 0.6
 _POSITIONS = 120
 """Of a sweep."""
 _TOLERANCE = 2e-3
-"""Standard deviation to which a girth is to be known [L]: what contacts of a steel wire of 50 mm on
+"""Standard deviation to which a curve is to be known [L]: what contacts of a steel wire of 50 mm on
 a common sensor reach.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class Followed:
-    """A girth that was followed.
+    """A girth or a contour that was followed.
 
     Attributes
     ----------
@@ -50,7 +51,11 @@ class Followed:
     deviation
         (k,) standard deviation of the surface there.
     closed
-        Whether the curve comes back to where it began and is known to the tolerance all along.
+        Whether a girth comes back to where it began and is known to the tolerance all along; False
+        for a contour between two ends.
+    complete
+        Whether the curve is known to the tolerance all along: a girth closed, a contour from one
+        end to the other.
     shape
         The surface behind it.
     trails
@@ -60,15 +65,16 @@ class Followed:
     point: Float[np.ndarray, "k 3"]
     deviation: Float[np.ndarray, "k"]
     closed: bool
+    complete: bool
     shape: Shape
     trails: list[Trail]
 
     def __repr__(self) -> str:
         """Return one line."""
         length = np.linalg.norm(np.diff(self.point, axis=0), axis=1).sum()
-        state = "closed" if self.closed else "not closed"
+        state = "closed" if self.closed else "complete" if self.complete else "not complete"
         return (
-            f"Followed: girth of {length:.4g}, {state} after {len(self.trails)} sweeps, largest "
+            f"Followed: curve of {length:.4g}, {state} after {len(self.trails)} sweeps, largest "
             f"deviation {self.deviation.max():.2g}"
         )
 
@@ -80,12 +86,14 @@ def follow(
     *,
     point: ArrayLike | None = None,
     normal: ArrayLike | None = None,
+    ends: ArrayLike | None = None,
     tolerance: float | None = None,
     clearance: float = 0.0,
     friction: float = 0.0,
     most: int = 20,
 ) -> Followed:
-    """Follow the curve in which a plane cuts an object until it is known all round.
+    """Follow the curve in which a plane cuts an object until it is known all round, or from one end
+    to another.
 
     Parameters
     ----------
@@ -98,6 +106,9 @@ def follow(
         A first trail that touches the object.
     point, normal
         (3,) each, of the plane; by default that of the first trail's clamp axis and motion.
+    ends
+        (2, 3) places near the object between which it is followed, the way round that the first
+        trail touches; by default all round.
     tolerance
         Standard deviation to which the curve is to be known; by default a five-hundredth of the
         rod's length.
@@ -110,19 +121,22 @@ def follow(
     ------
     ValueError
         If the first sweep touches too little to fit a surface to, the first trail does not
-        determine a plane, or an argument is not positive.
+        determine a plane, an end is not finite, or an argument is not positive.
     """
     limit = _TOLERANCE * rod.length if tolerance is None else positive(tolerance, "tolerance")
     cut = _Plane.of(start, point, normal)
+    between = None if ends is None else finite_array(ends, "ends", last=3, ndim=2)
+    if between is not None and len(between) != 2:
+        raise ValueError(f"ends has shape {between.shape}; allowed is (2, 3)")
     felt: list[Reconstruction] = []
     trails, driven = [start], set[int]()
     for number in range(whole_number(most, "most")):
         felt.append(sweep(trails[-1]))
         shape = fit_shape([each.contacts for each in felt], swept=[_missed(each) for each in felt])
-        curve, back = _traced(shape, cut)
+        curve, whole = _traced(shape, cut, between, felt[0].point[felt[0].in_contact])
         deviation = shape.deviation(curve)
-        closed = back and bool(np.all(deviation <= limit))
-        if closed or number == most - 1:
+        complete = whole and bool(np.all(deviation <= limit))
+        if complete or number == most - 1:
             break
         planned = next_sweep(
             shape,
@@ -138,7 +152,7 @@ def follow(
             break
         driven.add(new[0])
         trails.append(planned.candidates[new[0]])
-    return Followed(curve, deviation, closed, shape, trails)
+    return Followed(curve, deviation, complete and between is None, complete, shape, trails)
 
 
 def _missed(found: Reconstruction) -> Float[np.ndarray, "k m 3"]:
@@ -200,19 +214,37 @@ class _Plane(NamedTuple):
         return Trail.stack(trails)
 
 
-def _traced(shape: Shape, cut: _Plane) -> tuple[Float[np.ndarray, "k 3"], bool]:
-    """Points along the curve from a contact near the plane on, and whether it closes."""
-    step = _STEP * shape.extent
-    contacts = shape.sites.point
-    near = contacts[np.argmin(np.abs((contacts - cut.point) @ cut.normal))]
-    here = _onto(shape, cut, near - ((near - cut.point) @ cut.normal) * cut.normal)
-    points = [here]
+def _traced(
+    shape: Shape,
+    cut: _Plane,
+    ends: Float[np.ndarray, "2 3"] | None,
+    touched: Float[np.ndarray, "n 3"],
+) -> tuple[Float[np.ndarray, "k 3"], bool]:
+    """Points along the curve, and whether it closes or goes from end to end: all round from a
+    contact near the plane on, or between the ends the way round that comes nearer to what was
+    touched.
+    """
+    if ends is None:
+        contacts = shape.sites.point
+        near = contacts[np.argmin(np.abs((contacts - cut.point) @ cut.normal))]
+        begin = _onto(shape, cut, cut.point + cut.within(near - cut.point))
+        return _walked(shape, cut, begin, begin, 1.0)
+    begin, goal = (_onto(shape, cut, each) for each in cut.point + cut.within(ends - cut.point))
+    ways = [_walked(shape, cut, begin, goal, way) for way in (1.0, -1.0)]
+    return min(ways, key=lambda way: (not way[1], KDTree(way[0]).query(touched)[0].mean()))
+
+
+def _walked(
+    shape: Shape, cut: _Plane, begin: np.ndarray, goal: np.ndarray, way: float
+) -> tuple[Float[np.ndarray, "k 3"], bool]:
+    """Points along the curve one way, and whether it comes to its goal."""
+    step, here, points = _STEP * shape.extent, begin, [begin]
     for number in range(round(_LONGEST / _STEP)):
         normal = cut.within(shape.normal(here[None])[0])
-        along = np.cross(cut.normal, normal)
+        along = way * np.cross(cut.normal, normal)
         here = _onto(shape, cut, here + step * along / np.linalg.norm(along))
-        if number > 2 and np.linalg.norm(here - points[0]) < step:
-            return np.array([*points, points[0]]), True
+        if number > 2 and np.linalg.norm(here - goal) < step:
+            return np.array([*points, goal]), True
         points.append(here)
     return np.array(points), False
 

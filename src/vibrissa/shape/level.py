@@ -15,22 +15,30 @@ change little over it.
 """
 STEEP = 0.3
 """Least gradient that levels are divided by: inside, where faces are equally far, it vanishes."""
-_STEPS, _SETTLED = 12, 1e-5
+_RATE = 0.7
+"""Of a step along the tangent plane, at first."""
+_TURNED = 0.5
+"""Cosine of the angle to the step before, below which a step is too long."""
+_STEPS, _SETTLED = 30, 1e-5
 """Steps towards the closest point, and the last one, relative to the extent."""
 
 
 class Level(NamedTuple):
-    """Mean level of the ball, coordinates, and what the contacts say besides."""
+    """Mean level of the ball, coordinates, and what the contacts say besides; and the factor by
+    which deviations are too small, as sweeps that are left out show.
+    """
 
     ball: Ball
     folds: Folds | None
     found: Posterior
     total: Sum
+    doubt: float = 1.0
 
     @classmethod
-    def of(cls, ball: Ball, folds: Folds | None, found: Posterior) -> "Level":
+    def of(cls, ball: Ball, folds: Folds | None, found: Posterior, doubt: float = 1.0) -> "Level":
         """With the weights of its sites."""
-        return cls(ball, folds, found, Sum(found.basis.kernel, found.basis.sites, found.weights))
+        total = Sum(found.basis.kernel, found.basis.sites, found.weights)
+        return cls(ball, folds, found, total, doubt)
 
     def places(self, points: Points) -> Coordinates:
         """Coordinates of points."""
@@ -52,8 +60,9 @@ class Level(NamedTuple):
         """Places of the surface closest to points: steps onto the tangent plane of the level
         surface through the last place, and along it to where the point's perpendicular meets it.
         """
-        feet, going = points.copy(), np.arange(len(points))
+        feet, going = self._nearby(points, extent), np.arange(len(points))
         longest = 0.1 * extent
+        rate, before = np.full(len(points), _RATE), np.zeros_like(points)
         for _ in range(_STEPS):
             here = feet[going]
             jets = self.jets(here)
@@ -64,12 +73,25 @@ class Level(NamedTuple):
             onto = np.clip(jets[:, 0] / length, -longest, longest)
             size = np.linalg.norm(along, axis=1)
             shorter = np.minimum(1.0, longest / np.maximum(size, 1e-300))
-            moved = 0.7 * shorter[:, None] * along - onto[:, None] * normal
+            # Seen from far outside, a place moves less than the point: steps that turn are halved.
+            ahead = np.einsum("ni,ni->n", along, before[going])
+            turned = ahead < _TURNED * size * np.linalg.norm(before[going], axis=1)
+            rate[going] *= np.where(turned, 0.5, 1.0)
+            before[going] = along
+            moved = (rate[going] * shorter)[:, None] * along - onto[:, None] * normal
             feet[going] = here + moved
             going = going[np.linalg.norm(moved, axis=1) > _SETTLED * extent]
             if not len(going):
                 break
         return feet
+
+    def _nearby(self, points: Points, extent: float) -> Points:
+        """Points, or, of those further from the ball's centre than half the extent, places on the
+        way there.
+        """
+        apart = points - self.ball.center
+        length = np.linalg.norm(apart, axis=1, keepdims=True)
+        return self.ball.center + apart * np.minimum(1.0, 0.5 * extent / np.maximum(length, 1e-300))
 
     def curvature(self, points: Points) -> Float[np.ndarray, "n 3 3"]:
         """Second derivatives of the mean."""

@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 from vibrissa.shape.kernel import JET
 from vibrissa.shape.level import Level
 from vibrissa.shape.noise import Noise
-from vibrissa.shape.posterior import Data, left_out
+from vibrissa.shape.posterior import LeftOut
 from vibrissa.shape.sites import Gathered, Sites
 
 Curvature = Callable[[Float[np.ndarray, "n 3"]], Float[np.ndarray, "n 3 3"]]
@@ -93,9 +93,15 @@ def _squares(
     return np.einsum("ni,ni->n", residual, np.linalg.solve(own, residual[..., None])[..., 0])
 
 
-def findings_of(level: Level, data: Data, noise: Noise, sites: Sites, extent: float) -> list[str]:
+def findings_of(others: list[LeftOut], noise: Noise, sites: Sites, extent: float) -> list[str]:
     """What the contacts say against one another, one line each."""
-    return _sweeps(level, data, noise, sites, extent) + _groups(sites, extent)
+    return _sweeps(others, noise, sites, extent) + _groups(sites, extent)
+
+
+def thinned(given: Gathered) -> list[str]:
+    """A line if not all contacts are used."""
+    said = f"one contact in {given.step} is used, as {len(given.point)} tell as much as all"
+    return [said] if given.step > 1 else []
 
 
 def mostly_outliers(given: Gathered, outlier: Bool[np.ndarray, "n"]) -> list[str]:
@@ -108,12 +114,10 @@ def mostly_outliers(given: Gathered, outlier: Bool[np.ndarray, "n"]) -> list[str
     ]
 
 
-def _sweeps(level: Level, data: Data, noise: Noise, sites: Sites, extent: float) -> list[str]:
+def _sweeps(others: list[LeftOut], noise: Noise, sites: Sites, extent: float) -> list[str]:
     """Sweeps that fit the surface through all others better when shifted as a whole."""
     found: dict[int, tuple[float, float]] = {}
-    for rows, (missed, predicted, errors) in zip(
-        noise.groups, left_out(level.found, data, noise), strict=True
-    ):
+    for rows, (missed, predicted, errors) in zip(noise.groups, others, strict=True):
         whole = (predicted + errors)[::JET, ::JET]
         weighted = np.linalg.solve(whole, sites.normal[rows])
         # A shift is determined only across the surface; any is less than the object's size.

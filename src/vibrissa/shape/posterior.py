@@ -141,9 +141,11 @@ def posterior(basis: Basis, data: Data, noise: Noise) -> Posterior:
     return solved(basis, *information(data, noise))
 
 
-def left_out(
-    found: Posterior, data: Data, noise: Noise
-) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+LeftOut = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Of a sweep, as `left_out` gives it."""
+
+
+def left_out(found: Posterior, data: Data, noise: Noise) -> list[LeftOut]:
     """For each sweep, or part of a long one: its targets less their prediction from all others, the
     covariance of that prediction, and of the errors.
 

@@ -14,6 +14,10 @@ LEAST = 3
 """Contacts without which there is no surface."""
 _MOST = 1500
 """Pooled contacts, beyond which neighbours of a sweep are pooled over longer distances."""
+_LARGEST = 200_000
+"""Contacts, beyond which every second, third ... is used: more take longer and tell nothing new, as
+they are pooled.
+"""
 _FINEST = 1 / 80
 """Shortest distance over which contacts are pooled, relative to the extent of all: a millimetre on
 a ball of 50 mm, half of what errors of smoothed contacts are alike over.
@@ -60,6 +64,8 @@ class Gathered(NamedTuple):
     """Whether covariances were given, not assumed."""
     extent: float
     """Diagonal of the box around all points."""
+    step: int = 1
+    """One in so many is used."""
 
     def part(self, rows: Any) -> "Gathered":
         """Some of the contacts."""
@@ -105,7 +111,9 @@ def gathered(contacts: Contacts | Sequence[Contacts]) -> Gathered:
         If there are too few, or all lie in one place.
     """
     parts = several(contacts)
-    columns = [_columns(part) for part in parts]
+    sound = [_sound(part) for part in parts]
+    step = max(-(-sum(int(rows.sum()) for rows in sound) // _LARGEST), 1)
+    columns = [_columns(part, use, step) for part, use in zip(parts, sound, strict=True)]
     rows = np.concatenate([column[0] for column in columns] or [np.zeros(0, dtype=bool)])
     if rows.sum() < LEAST:
         given = f"{rows.sum()} of {len(rows)} rows hold a contact with status OK"
@@ -123,11 +131,11 @@ def gathered(contacts: Contacts | Sequence[Contacts]) -> Gathered:
     known = all(part.covariance is not None for part in parts)
     order = np.arange(len(point), dtype=float)
     sweep = np.concatenate(sweeps)
-    return Gathered(rows, point, normal, np.concatenate(joint), sweep, order, known, extent)
+    return Gathered(rows, point, normal, np.concatenate(joint), sweep, order, known, extent, step)
 
 
-def _columns(part: Contacts) -> tuple[np.ndarray, ...]:
-    """Which rows count, and their points, normals and sweeps."""
+def _sound(part: Contacts) -> Bool[np.ndarray, "n"]:
+    """Rows that hold a contact."""
     point, normal = part.point.reshape(-1, 3), part.normal.reshape(-1, 3)
     use = np.isfinite(point).all(axis=1) & np.isfinite(normal).all(axis=1)
     if part.kind is not None:
@@ -137,6 +145,16 @@ def _columns(part: Contacts) -> tuple[np.ndarray, ...]:
     for spread in (part.covariance, part.normal_covariance):
         if spread is not None:
             use &= np.isfinite(spread).all(axis=(-2, -1)).reshape(-1)
+    return use
+
+
+def _columns(part: Contacts, sound: Bool[np.ndarray, "n"], step: int) -> tuple[np.ndarray, ...]:
+    """Which rows count, one in so many of those that are sound, and their points, normals and
+    sweeps.
+    """
+    use = np.zeros_like(sound)
+    use[np.flatnonzero(sound)[::step]] = True
+    point, normal = part.point.reshape(-1, 3), part.normal.reshape(-1, 3)
     sweep = np.zeros(len(point), dtype=int) if part.sweep is None else part.sweep.reshape(-1)
     return use, point[use], normal[use], sweep[use]
 

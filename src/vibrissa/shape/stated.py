@@ -55,7 +55,7 @@ class Stated(NamedTuple):
         bent = first.curvature(points) + level.ball.curvature(points)
         sharp = np.linalg.norm(bent, axis=(1, 2)) * _UNSURE * extent
         beyond = _aside(level.feet(points, extent), contacts, extent)
-        return cls(points, np.hypot(1.0, sharp) / steepness, beyond, extent)
+        return cls(points, level.doubt * np.hypot(1.0, sharp) / steepness, beyond, extent)
 
     def away(self, contacts: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "n"]:
         """Distances of the points from the nearest contact."""

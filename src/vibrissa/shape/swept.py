@@ -29,6 +29,8 @@ _CLOSE = 0.02
 """Distance from contacts within which rods say nothing new."""
 _SURE = 3.0
 """Deviations from zero beyond which the contacts alone say that a point is outside."""
+_REFUTED = 6.0
+"""Deviations inside from which the contacts refute a point."""
 _BEYOND = 0.3
 """Distance from the box around all contacts and the ball that fits them, relative to the extent,
 beyond which nothing is expected anyway.
@@ -72,13 +74,21 @@ def emptied(
     noise: Noise,
     points: Float[np.ndarray, "k 3"],
     extent: float,
-) -> Level:
-    """The random surface given, besides contacts at these places, that these points are outside.
+) -> tuple[Level, list[str]]:
+    """The random surface given, besides contacts at these places, that these points are outside;
+    and a line if contacts contradict some of them, which do not count.
 
     Points are added where the surface so far leaves them open, as long as there are any.
     """
     contacts = level.found.basis.sites.value[:, :3]
     points = _thinned(points, contacts, level.ball, extent)
+    depth = -level.values(points) if len(points) else np.zeros(0)
+    surely = depth > _REFUTED * level.doubt * np.sqrt(level.variance(points))
+    points, deepest = points[~surely], depth[surely].max(initial=0.0)
+    said = (
+        f"rods that missed are up to {deepest:.2g} inside the object, by its contacts; they do not "
+        "count there; check that no rod touched"
+    )
     chosen = np.zeros((0, 3))
     for _ in range(_TIMES):
         deviation = np.sqrt(level.variance(points)) if len(points) else np.zeros(0)
@@ -89,7 +99,7 @@ def emptied(
         chosen = np.unique(np.concatenate([chosen, added]), axis=0)
         level = _given_outside(level, places, target, noise, chosen, len(contacts))
         points = points[KDTree(chosen).query(points)[0] > 0]
-    return level
+    return level, [said] if deepest > 0 else []
 
 
 def _thinned(
@@ -151,4 +161,4 @@ def _given_outside(
         weight += _DAMPING * (1 / narrowed - 1 / open_ - weight)
         push += _DAMPING * (moved / narrowed - center / open_ - push)
     found = solved(basis, precision + (rows * weight) @ rows.T, pull + rows @ push)
-    return Level.of(level.ball, level.folds, found)
+    return Level.of(level.ball, level.folds, found, level.doubt)

@@ -2,8 +2,10 @@
 
 import io
 import sys
+import time
 from base64 import b64decode
 from pathlib import Path
+from time import monotonic
 
 import numpy as np
 import pytest
@@ -22,6 +24,7 @@ from vibrissa.viewer.axes import tick_step, ticked_box
 from vibrissa.viewer.colours import Painter, modes_of, rgb, surface_legend
 from vibrissa.viewer.content import Content, Instant, Rows, joined
 from vibrissa.viewer.files import of_file
+from vibrissa.viewer.growing import GrowingSurface
 from vibrissa.viewer.html import legend_html, numbers_html
 from vibrissa.viewer.page import Viewer, serve, stop
 from vibrissa.viewer.stream import ViewerSink
@@ -395,11 +398,24 @@ def test_view_takes_results_and_says_what_is_missing(
         vb.view(scan, colour="uncertainty")
 
 
+def fits_that_fail(monkeypatch: pytest.MonkeyPatch) -> list[vb.Contacts]:
+    """The contacts that a stream's surface is fitted to, in vain."""
+    given: list[vb.Contacts] = []
+
+    def fit(contacts: vb.Contacts) -> vb.Shape:
+        given.append(contacts)
+        raise ValueError
+
+    monkeypatch.setattr("vibrissa.viewer.growing.fit_shape", fit)
+    return given
+
+
 def test_a_stream_grows_and_is_thinned(
     found: vb.Reconstruction, setup: vb.Setup, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("vibrissa.viewer.stream._PERIOD", 0.01)
     monkeypatch.setattr("vibrissa.viewer.stream._MOST", 6)
+    fits_that_fail(monkeypatch)
     sink = ViewerSink(setup.rod, setup.surface, port=8180)
     assert sink.viewer is None
     source = vb.live.ReplaySource(read_cleaned(LOG, setup), 4.0)
@@ -420,6 +436,73 @@ def test_a_stream_grows_and_is_thinned(
     every = 1e3 * found.point[found.in_contact]
     assert all((np.abs(every - point).max(axis=1) < 1e-6).any() for point in contacts.point)
     sink.end()
+
+
+def test_the_surface_of_a_stream_grows(
+    found: vb.Reconstruction, setup: vb.Setup, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("vibrissa.viewer.stream._PERIOD", 0.01)
+    monkeypatch.setattr("vibrissa.viewer.growing._PAUSE", 0.01)
+    assert setup.surface is not None
+    stamp = np.round(1e9 * found.reactions.time).astype(np.int64)  # type: ignore[operator]
+    sink = ViewerSink(setup.rod, None, port=8180)
+    raw = read_cleaned(LOG, setup)
+
+    def give(rows: range) -> None:
+        for first in rows[::60]:
+            chosen = np.arange(first, first + 60, 3)
+            sink.contacts(stamp[chosen], raw, found[chosen])
+            time.sleep(0.05)
+
+    def area() -> float:
+        fitted = sink.viewer.scene.fitted  # type: ignore[union-attr]
+        return sum(trimesh.Trimesh(one.vertices, one.faces, process=False).area for one in fitted)
+
+    give(range(0, 420))
+    until = monotonic() + 60
+    while not area():
+        sink.flush()
+        assert monotonic() < until
+        time.sleep(0.05)
+    half = area()
+    give(range(420, 900))
+    sink.close()
+    (fitted,) = sink.viewer.scene.fitted  # type: ignore[union-attr]
+    assert area() > 1.5 * half > 0
+    away = np.abs(setup.surface.distances(fitted.vertices / 1e3))
+    assert np.median(away) < 0.3e-3
+    assert away.max() < 1.5e-3
+    assert found.covariance is not None
+    sharp = np.trace(found.covariance, axis1=1, axis2=2) < 0.5e-3**2
+    last = found.point[found.in_contact & (found.status == vb.Status.OK) & sharp][-10:]
+    assert np.linalg.norm(1e3 * last[:, None] - fitted.vertices, axis=2).min(axis=1).max() < 1.5
+    assert "Surface: standard deviation [mm]" in sink.viewer.scene.legend  # type: ignore[union-attr]
+    sink.end()
+
+
+def test_a_long_stream_is_fitted_to_few_contacts_of_one_sweep(
+    found: vb.Reconstruction, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And where that fails nothing is shown, and nothing said."""
+    given = fits_that_fail(monkeypatch)
+    monkeypatch.setattr("vibrissa.viewer.growing._MOST", 100)
+    surface = GrowingSurface(found.rod)
+    for first in range(0, 900, 30):
+        surface.add(found[first : first + 30])
+    surface.close()
+    assert surface.take() is None
+    contacts = given[-1]
+    assert 50 <= len(contacts) <= 100
+    assert contacts.sweep is None
+    assert contacts.covariance is not None
+    assert contacts.time is not None
+    assert found.covariance is not None
+    deviation = np.sqrt(np.trace(contacts.covariance, axis1=1, axis2=2))
+    assert deviation.max() < 0.1 * found.rod.length
+    certain = np.sqrt(np.trace(found.covariance, axis1=1, axis2=2)) < 0.1 * found.rod.length
+    sound = found.in_contact & (found.status == vb.Status.OK) & certain
+    every = round(sound.sum() / len(contacts))
+    np.testing.assert_array_equal(contacts.point, found.point[sound][::every])
 
 
 def test_view_from_the_command_line(

@@ -105,9 +105,10 @@ def read_stored(file: Path) -> StoredShape | None:
         If the file cannot be read, or is a mesh without contacts.
     """
     with reading(readable(file), "a shape"):
-        data, held = _data(file), _held(file)
+        held = _held(file)
         if held is None:
             return None
+        data = _data(file)
         vertex, rows = data["vertex"].data, data[_CONTACT].data
         places, normals = (np.stack([vertex[n] for n in names], axis=-1) for names in _VERTEX)
         faces = np.stack(data["face"].data["vertex_indices"]).astype(np.int64)

@@ -67,6 +67,17 @@ def test_mesh_lies_on_the_surface_and_is_closed(ellipsoid):
     assert np.all(ellipsoid.mesh().deviation <= 0.01 * ellipsoid.extent)
 
 
+def test_the_part_that_is_seen_is_that_of_the_whole_mesh():
+    """It is cut near contacts only, as a surface that bends is not known far from them."""
+    shape = vb.fit_shape(rings(ELLIPSOID, np.random.default_rng(0), sweeps=2))
+    step = shape.extent / 20
+    mesh, whole = shape.mesh(step), shape.mesh(step, extrapolate=True)
+    seen = whole.seen_part()
+    assert len(seen.vertices) < 0.7 * len(whole.vertices)
+    np.testing.assert_allclose(mesh.vertices, seen.vertices, atol=1e-9)
+    np.testing.assert_array_equal(mesh.faces, seen.faces)
+
+
 def test_surface_can_be_scanned(ellipsoid):
     rod = vb.Rod.cylinder(length=0.05, radius=0.25e-3, youngs_modulus=206e9)
     trail = vb.Trail.line(start=(0.035, 0.003, -0.05), stop=(-0.035, 0.003, -0.05), count=61)

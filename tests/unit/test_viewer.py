@@ -1,28 +1,40 @@
 """What the viewer shows, as numbers; the browser itself is in test_viewer_browser.py."""
 
+import io
 import sys
+import time
+from base64 import b64decode
 from pathlib import Path
+from time import monotonic
 
 import numpy as np
 import pytest
+import trimesh
+import zstandard
 from command_line import vibrissa
+from matplotlib import pyplot as plt
+from matplotlib.colors import LogNorm
+from touched import rings
 
 import vibrissa as vb
 from vibrissa.drawing import BEHIND, FREE, KIND_COLOURS, half_axes
 from vibrissa.io.recordings.read import read_cleaned
 from vibrissa.io.sweeps import read_sweep
 from vibrissa.viewer.axes import tick_step, ticked_box
-from vibrissa.viewer.colours import Painter, modes_of, rgb
+from vibrissa.viewer.colours import Painter, modes_of, rgb, surface_legend
 from vibrissa.viewer.content import Content, Instant, Rows, joined
+from vibrissa.viewer.files import of_file
+from vibrissa.viewer.growing import GrowingSurface
 from vibrissa.viewer.html import legend_html, numbers_html
 from vibrissa.viewer.page import Viewer, serve, stop
 from vibrissa.viewer.stream import ViewerSink
-from vibrissa.viewer.sweeps import of_contacts, of_setup, of_sweep
+from vibrissa.viewer.sweeps import fitted_of, of_contacts, of_setup, of_sweep
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 LOG = EXAMPLES / "recordings/sphere_60mm/trail.csv"
 SETUP = EXAMPLES / "recordings/sphere_60mm/setup.toml"
 ROD = vb.Rod.cylinder(length=0.05, radius=0.25e-3, youngs_modulus=206e9)
+ELLIPSOID = vb.surfaces.Ellipsoid(center=(0, 0, 0), semi_axes=(0.026, 0.021, 0.017))
 SPHERE = vb.surfaces.Sphere(center=(0, 0, 0.0575), radius=0.03)
 TRAILS = vb.Trail.raster(
     start=(0.04, 0.005, 0), stop=(-0.04, 0.005, 0), count=21, step=(0, 0.004, 0), trails=2
@@ -147,6 +159,91 @@ def test_lengths_in_two_units_are_refused(scan: vb.Scan) -> None:
         joined([of_sweep(scan, None), unit])
 
 
+def test_contacts_of_files_are_in_millimetres_beside_what_is(
+    scan: vb.Scan, found: vb.Reconstruction
+) -> None:
+    alone = of_contacts(found.contacts, None, None)
+    both = joined([of_sweep(scan, None), alone])
+    assert both.unit == "mm"
+    shown = both.contacts.point
+    for point in 1e3 * alone.contacts.point[::50]:
+        assert np.abs(shown - point).max(axis=1).min() < 1e-9
+    covariance = 1e6 * alone.contacts.covariance[-1]
+    np.testing.assert_allclose(both.contacts.covariance[-1], covariance)
+
+
+@pytest.fixture(scope="module")
+def shape() -> vb.Shape:
+    """Of two girths of an ellipsoid, with one contact 2 mm off."""
+    contacts = rings(ELLIPSOID, np.random.default_rng(0), sweeps=2)
+    contacts.point[30] *= 1.1
+    return vb.fit_shape(contacts)
+
+
+def test_a_shape_is_shown_in_millimetres_with_its_contacts(
+    shape: vb.Shape, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mesh = shape.mesh(shape.extent / 20)
+    monkeypatch.setattr(vb.Shape, "mesh", lambda _: mesh)
+    page = tmp_path / "shape.html"
+    with vb.view(shape, port=8180) as viewer:
+        (fitted,) = viewer.content.fitted
+        contacts = viewer.content.contacts
+        handle = viewer.scene._scene.get_handle_by_name("/surface/0")
+        viewer.save(page)
+    assert viewer.content.unit == "mm"
+    np.testing.assert_array_equal(fitted.vertices, 1e3 * mesh.vertices)
+    away = np.abs(ELLIPSOID.distances(fitted.vertices / 1e3))
+    assert away.max() < 0.4e-3
+    assert np.mean(1e3 * away < 1.96 * fitted.deviation) > 0.9
+    np.testing.assert_array_equal(fitted.outlier, 1e3 * shape.contacts[0].point[[30]])
+    assert len(contacts) == 80
+    text = page.read_text(encoding="utf-8")
+    # What the browser draws is what the page holds: a length, then data that zstandard packed.
+    packed = b64decode(text.split('__VISER_EMBED_DATA__="')[1].split('"')[0])
+    assert handle.glb_data in zstandard.decompress(packed[8:], int.from_bytes(packed[:8], "little"))
+    drawn = trimesh.load(io.BytesIO(handle.glb_data), "glb", force="mesh")
+    np.testing.assert_allclose(drawn.vertices, fitted.vertices, atol=1e-5)
+    for said in ("Surface: standard deviation [mm]", "contact that it contradicts (1)"):
+        assert said in text
+
+
+def test_surfaces_are_coloured_as_in_figures(shape: vb.Shape) -> None:
+    mesh = shape.mesh(shape.extent / 10)
+    fitted = fitted_of(mesh, np.zeros((0, 3)), 1e3)
+    scale = surface_legend([fitted], "mm").scale
+    assert scale is not None
+    low, high = np.quantile(1e3 * mesh.deviation, (0.02, 0.98))
+    norm = LogNorm(low, high, clip=True)
+    some = fitted.deviation[::50]
+    own = scale.colours(scale.place(some)) / 255
+    # Nine colours stand for viridis.
+    np.testing.assert_allclose(own, plt.get_cmap("viridis_r")(norm(some))[:, :3], atol=0.03)
+    assert scale.middle == pytest.approx(np.sqrt(low * high))
+
+
+def test_a_shape_from_its_file_beside_contacts(
+    shape: vb.Shape, found: vb.Reconstruction, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, page = tmp_path / "shape.ply", tmp_path / "page.html"
+    mesh = shape.mesh(shape.extent / 20)
+    vb.io.write_shape(file, mesh, fitted=shape)
+    content = of_file(file, None, None)
+    (fitted,) = content.fitted
+    for own, stored in zip(
+        fitted_of(mesh, shape.contacts[0].point[[30]], 1e3), fitted, strict=True
+    ):
+        np.testing.assert_array_equal(stored, own)
+    assert len(content.contacts) == 80
+    more = vb.write_contacts(tmp_path / "contacts.vtp", found)
+    run = vibrissa(capsys, "view", file, more, "--save", page)
+    assert run.out == f"646 contacts, 240 instants → {page}\n"
+    bare = vb.io.write_shape(tmp_path / "bare.ply", mesh)
+    run = vibrissa(capsys, "view", bare, "--save", page)
+    assert (run.status, run.out) == (2, "")
+    assert "bare.ply: a mesh without the contacts it was fitted to; allowed is" in run.err
+
+
 def test_nothing_to_show_says_why(found: vb.Reconstruction) -> None:
     empty = vb.Contacts(np.full((3, 3), np.nan), np.full((3, 3), np.nan))
     with pytest.raises(ValueError, match="nothing to show: none of"):
@@ -224,13 +321,15 @@ def test_colours_say_kind_status_force_and_uncertainty() -> None:
 
     force = Painter("force", contacts, content)
     assert force.legend.title == "support force [N]"
-    assert force.legend.scale == pytest.approx((0.102, 0.198))
+    assert force.legend.scale is not None
+    assert force.legend.scale[:2] == pytest.approx((0.102, 0.198))
     low, high, unknown = force(contacts).tolist()
     assert (low, high) == ([68, 1, 84], [253, 231, 37])
     assert len(set(unknown)) == 1
     uncertain = Painter("uncertainty", contacts, content)
     assert uncertain.legend.title == "standard deviation [mm]"
-    assert uncertain.legend.scale == pytest.approx((3**0.5, 3), rel=0.03)
+    assert uncertain.legend.scale is not None
+    assert uncertain.legend.scale[:2] == pytest.approx((3**0.5, 3), rel=0.03)
     html = legend_html(uncertain.legend, content.instants, ["One in 3."])
     assert "≤ 1.7" in html and "One in 3." in html and "95 %" in html and "Rod" not in html
 
@@ -299,11 +398,24 @@ def test_view_takes_results_and_says_what_is_missing(
         vb.view(scan, colour="uncertainty")
 
 
+def fits_that_fail(monkeypatch: pytest.MonkeyPatch) -> list[vb.Contacts]:
+    """The contacts that a stream's surface is fitted to, in vain."""
+    given: list[vb.Contacts] = []
+
+    def fit(contacts: vb.Contacts) -> vb.Shape:
+        given.append(contacts)
+        raise ValueError
+
+    monkeypatch.setattr("vibrissa.viewer.growing.fit_shape", fit)
+    return given
+
+
 def test_a_stream_grows_and_is_thinned(
     found: vb.Reconstruction, setup: vb.Setup, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("vibrissa.viewer.stream._PERIOD", 0.01)
     monkeypatch.setattr("vibrissa.viewer.stream._MOST", 6)
+    fits_that_fail(monkeypatch)
     sink = ViewerSink(setup.rod, setup.surface, port=8180)
     assert sink.viewer is None
     source = vb.live.ReplaySource(read_cleaned(LOG, setup), 4.0)
@@ -324,6 +436,74 @@ def test_a_stream_grows_and_is_thinned(
     every = 1e3 * found.point[found.in_contact]
     assert all((np.abs(every - point).max(axis=1) < 1e-6).any() for point in contacts.point)
     sink.end()
+
+
+def test_the_surface_of_a_stream_grows(
+    found: vb.Reconstruction, setup: vb.Setup, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("vibrissa.viewer.stream._PERIOD", 0.01)
+    monkeypatch.setattr("vibrissa.viewer.growing._PAUSE", 0.01)
+    assert setup.surface is not None
+    stamp = np.round(1e9 * found.reactions.time).astype(np.int64)  # type: ignore[operator]
+    sink = ViewerSink(setup.rod, None, port=8180)
+    raw = read_cleaned(LOG, setup)
+
+    def give(rows: range) -> None:
+        for first in rows[::60]:
+            chosen = np.arange(first, first + 60, 3)
+            sink.contacts(stamp[chosen], raw, found[chosen])
+            time.sleep(0.05)
+
+    def area() -> float:
+        fitted = sink.viewer.scene.fitted  # type: ignore[union-attr]
+        return sum(trimesh.Trimesh(one.vertices, one.faces, process=False).area for one in fitted)
+
+    until = monotonic() + 60
+    while sink.viewer is None:
+        give(range(60))
+    give(range(60, 420))
+    while not area():
+        assert monotonic() < until
+        time.sleep(0.05)
+    half = area()
+    give(range(420, 900))
+    sink.close()
+    (fitted,) = sink.viewer.scene.fitted  # type: ignore[union-attr]
+    assert area() > 1.5 * half > 0
+    away = np.abs(setup.surface.distances(fitted.vertices / 1e3))
+    assert np.median(away) < 0.3e-3
+    assert away.max() < 1.5e-3
+    assert found.covariance is not None
+    sharp = np.trace(found.covariance, axis1=1, axis2=2) < 0.5e-3**2
+    last = found.point[found.in_contact & (found.status == vb.Status.OK) & sharp][-10:]
+    assert np.linalg.norm(1e3 * last[:, None] - fitted.vertices, axis=2).min(axis=1).max() < 1.5
+    assert "Surface: standard deviation [mm]" in sink.viewer.scene.legend  # type: ignore[union-attr]
+    sink.end()
+
+
+def test_a_long_stream_is_fitted_to_few_contacts_of_one_sweep(
+    found: vb.Reconstruction, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And where that fails nothing is shown, and nothing said."""
+    given = fits_that_fail(monkeypatch)
+    monkeypatch.setattr("vibrissa.viewer.growing._MOST", 100)
+    surface = GrowingSurface(found.rod)
+    for first in range(0, 900, 30):
+        surface.add(found[first : first + 30])
+    surface.close()
+    assert surface.take() is None
+    contacts = given[-1]
+    assert 50 <= len(contacts) <= 100
+    assert contacts.sweep is None
+    assert contacts.covariance is not None
+    assert contacts.time is not None
+    assert found.covariance is not None
+    deviation = np.sqrt(np.trace(contacts.covariance, axis1=1, axis2=2))
+    assert deviation.max() < 0.1 * found.rod.length
+    certain = np.sqrt(np.trace(found.covariance, axis1=1, axis2=2)) < 0.1 * found.rod.length
+    sound = found.in_contact & (found.status == vb.Status.OK) & certain
+    every = round(sound.sum() / len(contacts))
+    np.testing.assert_array_equal(contacts.point, found.point[sound][::every])
 
 
 def test_view_from_the_command_line(

@@ -49,7 +49,7 @@ def view(
     files: Annotated[
         list[Path],
         typer.Argument(
-            help="Scans, reconstructions, contacts, recordings, setups and cases.",
+            help="Scans, reconstructions, contacts, shapes, recordings, setups and cases.",
             metavar="FILE...",
         ),
     ],
@@ -67,7 +67,7 @@ def view(
     host: Annotated[str, typer.Option(help="Address to serve the page at.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(help="Port, or the next free one.", min=1, max=65535)] = 8080,
 ) -> None:
-    """Show object, bending rod and contacts in the browser, until Ctrl-C."""
+    """Show object, bending rod, contacts and fitted surface in the browser, until Ctrl-C."""
     loaded = None if setup is None else vb.load_setup(setup)
     with reporting() as report:
         report("loading")

@@ -3,19 +3,20 @@ that missed, from which the surface is fitted again when it is read.
 """
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Bool
 
 from vibrissa.contacts import Contacts
 from vibrissa.files import InputError, readable, reading
 from vibrissa.io.contacts import read_contacts
-from vibrissa.shape import Shape, fit_shape
+from vibrissa.shape import Shape, ShapeMesh, fit_shape
 
 if TYPE_CHECKING:
-    from plyfile import PlyElement
+    from plyfile import PlyData, PlyElement
 
-_CONTACT, _SWEPT, _LENGTH = "contact", "swept", "length_scale"
+_CONTACT, _SWEPT, _LENGTH, _OUTLIER = "contact", "swept", "length_scale", "outlier"
 _WIDTHS = {
     "point": 3,
     "normal": 3,
@@ -23,13 +24,15 @@ _WIDTHS = {
     "normal_covariance": 9,
     "cross_covariance": 9,
     "sweep": 1,
+    "kind": 1,
 }
 """Numbers of a contact, by its fields."""
+_VERTEX = ("x", "y", "z"), ("nx", "ny", "nz")
 
 
 def elements_of(shape: Shape) -> "list[PlyElement]":
-    """What a surface was fitted to: the contacts that count, each with the fields that all have,
-    and points of rods that missed.
+    """What a surface was fitted to: the contacts that count, each with the fields that all have and
+    whether it is an outlier, and points of rods that missed.
     """
     from plyfile import PlyElement  # noqa: PLC0415
 
@@ -40,6 +43,7 @@ def elements_of(shape: Shape) -> "list[PlyElement]":
         for name in given
         for i, column in enumerate(getattr(contacts, name).reshape(len(contacts), -1).T)
     }
+    columns[_OUTLIER] = shape.outlier[shape.used]
     elements = [PlyElement.describe(_structured(columns), _CONTACT)]
     if shape.swept is not None:
         swept = _structured(dict(zip("xyz", shape.swept.T, strict=True)))
@@ -85,11 +89,47 @@ def read_shape(path: str | Path) -> Shape:
         raise InputError(f"{file}: {error}") from error
 
 
-def _held(file: Path) -> tuple[Contacts, np.ndarray | None, float | None] | None:
-    """Contacts, rods that missed and length scale in a PLY file; nothing if it is a cloud."""
+class StoredShape(NamedTuple):
+    """A fitted surface as a file holds it: nothing is fitted again."""
+
+    mesh: ShapeMesh
+    contacts: Contacts
+    outlier: Bool[np.ndarray, "n"]
+
+
+def read_stored(file: Path) -> StoredShape | None:
+    """Mesh and contacts of a PLY file that `write_shape` wrote with `fitted=`; nothing if it is a
+    cloud.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or is a mesh without contacts.
+    """
+    with reading(readable(file), "a shape"):
+        held = _held(file)
+        if held is None:
+            return None
+        data = _data(file)
+        vertex, rows = data["vertex"].data, data[_CONTACT].data
+        places, normals = (np.stack([vertex[n] for n in names], axis=-1) for names in _VERTEX)
+        faces = np.stack(data["face"].data["vertex_indices"]).astype(np.int64)
+        seen = vertex["seen"].astype(bool)
+        mesh = ShapeMesh(places, faces, normals, vertex["deviation"], seen)
+    known = _OUTLIER in rows.dtype.names
+    outlier = rows[_OUTLIER].astype(bool) if known else np.zeros(len(rows), dtype=bool)
+    return StoredShape(mesh, held[0], outlier)
+
+
+def _data(file: Path) -> "PlyData":
     from plyfile import PlyData  # noqa: PLC0415
 
-    data = PlyData.read(str(file))
+    return PlyData.read(str(file))
+
+
+def _held(file: Path) -> tuple[Contacts, np.ndarray | None, float | None] | None:
+    """Contacts, rods that missed and length scale in a PLY file; nothing if it is a cloud."""
+    data = _data(file)
     names = [element.name for element in data.elements]
     if _CONTACT not in names:
         if "face" not in names:

@@ -138,12 +138,13 @@ def extracted(
     extent: float,
     deviations: Callable[[np.ndarray], np.ndarray],
     known: float,
+    within: float,
 ) -> ShapeMesh:
-    """The zero of a level function, cut into triangles, its vertices moved onto it; parts without a
-    contact near are not seen.
+    """The zero of a level function, at least within some distance of contacts, cut into triangles,
+    its vertices moved onto it; parts without a contact near are not seen.
     """
     low, counts = box_of(level, contacts, step, extent)
-    cells = _near(level, low, counts, step)
+    cells = _near(level, low, counts, step, contacts, within)
     corners = cells[:, None] + _CORNERS
     nodes, index = np.unique(corners.reshape(-1, 3) @ _strides(counts), return_inverse=True)
     places = low + step * np.stack(np.unravel_index(nodes, counts), axis=-1)
@@ -184,12 +185,21 @@ def _strides(counts: Int[np.ndarray, "3"]) -> Int[np.ndarray, "3"]:
 
 
 def _near(
-    level: Level, low: Float[np.ndarray, "3"], counts: Int[np.ndarray, "3"], step: float
+    level: Level,
+    low: Float[np.ndarray, "3"],
+    counts: Int[np.ndarray, "3"],
+    step: float,
+    contacts: Float[np.ndarray, "n 3"],
+    within: float,
 ) -> Int[np.ndarray, "cells 3"]:
-    """Cells that the zero may cross: those of larger cells at whose middle the level is small."""
+    """Cells within some distance of contacts that the zero may cross: those of larger cells at
+    whose middle the level is small.
+    """
     ranges = [np.arange(0, n - 1, _COARSE) for n in counts]
     cells = np.stack(np.meshgrid(*ranges, indexing="ij"), axis=-1).reshape(-1, 3)
     size = _COARSE
+    apart, _ = KDTree(contacts).query(low + step * (cells + 0.5 * size))
+    cells = cells[apart <= within + 0.5 * np.sqrt(3) * size * step]
     while size > 1:
         reach = _STEEPEST * 0.5 * np.sqrt(3) * size * step
         cells = cells[np.abs(level.values(low + step * (cells + 0.5 * size))) < reach]

@@ -14,7 +14,7 @@ from vibrissa.shape.level import STEEP, Level
 from vibrissa.shape.mesh import ShapeMesh, box_of, extracted, lattice_of
 from vibrissa.shape.occupancy import Occupancy, lattice_points, probability_inside
 from vibrissa.shape.sites import Sites
-from vibrissa.shape.stated import Stated
+from vibrissa.shape.stated import Stated, farthest
 
 if TYPE_CHECKING:
     from vibrissa.surfaces import Surface
@@ -126,8 +126,15 @@ class Shape:
             If libigl is not installed.
         """
         step = self.extent / 60 if resolution is None else positive(resolution, "resolution")
+        known = _KNOWN * self.extent
         mesh = extracted(
-            self.level, self.sites.point, step, self.extent, self._deviations, _KNOWN * self.extent
+            self.level,
+            self.sites.point,
+            step,
+            self.extent,
+            self._deviations,
+            known,
+            within=np.inf if extrapolate else farthest(known, self.extent),
         )
         return mesh if extrapolate else mesh.seen_part()
 

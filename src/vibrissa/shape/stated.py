@@ -90,5 +90,10 @@ def _aside(
     return np.clip((across / extent - _BETWEEN) / (_BEYOND - _BETWEEN), 0.0, 1.0)
 
 
+def farthest(deviation: float, extent: float) -> float:
+    """Distance from all contacts within which a surface can be known this well."""
+    return extent * float(np.cbrt(deviation / extent / _AWAY))
+
+
 _TINY = 1e-12
 """Distance that is none, in any unit."""

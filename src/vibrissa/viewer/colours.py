@@ -1,5 +1,6 @@
-"""Colours of contacts, and what they mean."""
+"""Colours of contacts and fitted surfaces, and what they mean."""
 
+from collections.abc import Sequence
 from typing import Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
@@ -7,7 +8,7 @@ from jaxtyping import Float, UInt8
 
 from vibrissa.contacts import ContactKind, Status
 from vibrissa.drawing import KIND_COLOURS, KIND_NAMES
-from vibrissa.viewer.content import Content, Rows
+from vibrissa.viewer.content import Content, Fitted, Rows
 
 By: TypeAlias = Literal["kind", "status", "force", "uncertainty"]
 MODES: tuple[By, ...] = get_args(By)
@@ -17,11 +18,44 @@ _SCALE = np.array(
      [39, 173, 129], [92, 200, 99], [170, 220, 50], [253, 231, 37]]
 )  # fmt: skip
 """Nine colours of viridis (van der Walt and Smith), evenly spaced."""
+OUTLIER = "#ff00c8"
+"""Far from all colours of kinds and of viridis."""
 _SOUND, _UNKNOWN = "#4c9f70", "#808080"
 _WRONG = ("#d1495b", "#edae49", "#7b4fa3", "#00798c", "#8c5e3c", "#e377c2", "#30638e", "#b5bd00")
 """Colours of other statuses than OK, in the order of their codes; repeated if there are more."""
 _FAINT = 0.65
 """How much white is mixed into contacts that are not sound."""
+
+
+class Scale(NamedTuple):
+    """Numbers as colours, from a lowest to a highest one; those beyond take the colours of the
+    ends.
+    """
+
+    low: float
+    high: float
+    falling: bool
+    """Whether low ones are bright: deviations, so that what is known well stands out."""
+    logarithmic: bool = False
+
+    def place(self, values: Float[np.ndarray, "*rows"]) -> Float[np.ndarray, "*rows"]:
+        """Where values lie along the scale, from 0 to 1."""
+        low, high = self.low, self.high
+        if self.logarithmic:
+            low, high, values = np.log(low), np.log(high), np.log(values)
+        return np.asarray(np.clip((values - low) / (high - low), 0, 1))
+
+    def colours(self, place: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n 3"]:
+        """Colours along the scale, 0 to 255."""
+        ticks = np.linspace(0, 1, len(_SCALE))
+        own = _SCALE[::-1] if self.falling else _SCALE
+        return np.stack([np.interp(place, ticks, part) for part in own.T], axis=1)
+
+    @property
+    def middle(self) -> float:
+        """The number half-way along."""
+        mean = np.sqrt(self.low * self.high) if self.logarithmic else (self.low + self.high) / 2
+        return float(mean)
 
 
 class Legend(NamedTuple):
@@ -30,7 +64,7 @@ class Legend(NamedTuple):
     entries: tuple[tuple[str, str], ...]
     """Colour and text."""
     title: str
-    scale: tuple[float, float] | None = None
+    scale: Scale | None = None
 
 
 def rgb(colour: str) -> tuple[int, int, int]:
@@ -63,7 +97,7 @@ class Painter:
     """
 
     def __init__(self, by: By, rows: Rows, content: Content) -> None:
-        self._by, self._range = by, (0.0, 1.0)
+        self._by, self._scale = by, Scale(0.0, 1.0, by == "uncertainty")
         unit = {"force": content.force_unit, "uncertainty": content.unit}.get(by, "")
         self._unit = f" [{unit}]" if unit else ""
         if by in ("force", "uncertainty"):
@@ -72,7 +106,8 @@ class Painter:
             if len(values):
                 # A few wild ones would leave one colour for all others.
                 low, high = np.percentile(values, [2, 98]).tolist()
-                self._range = low, max(high, low + np.finfo(float).tiny)
+                high = max(high, low + np.finfo(float).tiny)
+                self._scale = self._scale._replace(low=low, high=high)
         self.legend = self._legend(rows)
 
     def __call__(self, rows: Rows) -> UInt8[np.ndarray, "c 3"]:
@@ -84,10 +119,8 @@ class Painter:
         if self._by == "kind":
             own = _by_code(rows.kind, KIND_COLOURS)
         else:
-            low, high = self._range
-            place = np.clip((_values(self._by, rows) - low) / (high - low), 0, 1)
-            ticks = np.linspace(0, 1, len(_SCALE))
-            own = np.stack([np.interp(place, ticks, part) for part in _SCALE.T], axis=1)
+            place = self._scale.place(_values(self._by, rows))
+            own = self._scale.colours(place)
             own[np.isnan(place)] = rgb(_UNKNOWN)
         faint = rows.status[:, None] != Status.OK
         return np.where(faint, own + _FAINT * (255 - own.astype(float)), own).astype(np.uint8)
@@ -97,19 +130,26 @@ class Painter:
         flagged = (("#dddddd", f"faint: status not OK ({faint})"),) if faint else ()
         if self._by == "kind":
             counted = [(kind, int((rows.kind == kind).sum())) for kind in KIND_COLOURS]
-            named = tuple((KIND_COLOURS[k], f"{KIND_NAMES[k]} ({n})") for k, n in counted if n)
-            return Legend(named + flagged, "kind of contact")
+            named = [(KIND_COLOURS[k], f"{KIND_NAMES[k]} ({n})") for k, n in counted if n]
+            if unknown := int((rows.kind == ContactKind.NONE).sum()):
+                named.append((_UNKNOWN, f"not known ({unknown})"))
+            return Legend((*named, *flagged), "kind of contact")
         if self._by == "status":
             codes, counts = np.unique(rows.status, return_counts=True)
             pairs = zip(map(Status, codes.tolist()), counts.tolist(), strict=True)
             return Legend(tuple((_status_colour(s), f"{s.name} ({n})") for s, n in pairs), "status")
         titles = {"force": "support force", "uncertainty": "standard deviation"}
-        return Legend(flagged, titles[self._by] + self._unit, self._range)
+        return Legend(flagged, titles[self._by] + self._unit, self._scale)
 
-    @staticmethod
-    def gradient() -> list[str]:
-        """Colours of the scale, evenly spaced."""
-        return [f"rgb({red}, {green}, {blue})" for red, green, blue in _SCALE.tolist()]
+
+def surface_legend(fitted: Sequence[Fitted], unit: str) -> Legend:
+    """What the colours of fitted surfaces mean: one scale for all, that of `plot.shape_figure`."""
+    deviation = np.concatenate([one.deviation for one in fitted])
+    low, high = np.quantile(deviation, (0.02, 0.98)).tolist()
+    scale = Scale(low, max(high, 1.5 * low), falling=True, logarithmic=True)
+    outliers = sum(len(one.outlier) for one in fitted)
+    entries = ((OUTLIER, f"contact that it contradicts ({outliers})"),) if outliers else ()
+    return Legend(entries, f"standard deviation [{unit}]", scale)
 
 
 def _values(by: By, rows: Rows) -> Float[np.ndarray, "c"]:

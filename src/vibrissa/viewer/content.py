@@ -11,6 +11,8 @@ SAMPLES = 40
 """Points of a drawn rod: its pieces are a few pixels long."""
 WIDE = 0.1
 """Error of a contact, in rod lengths, from which it says little."""
+MILLIMETRES = 1e3
+"""In a metre."""
 UNKNOWN = ""
 """Unit of contacts whose file does not say it."""
 
@@ -67,6 +69,17 @@ class Rows:
         return cls(vectors, vectors, codes, codes, numbers, numbers, numbers, np.zeros((0, 3, 3)))
 
 
+class Fitted(NamedTuple):
+    """A fitted surface where it is known, with standard deviations (v,) at its vertices (v, 3)."""
+
+    vertices: Float[np.ndarray, "v 3"]
+    faces: Int[np.ndarray, "f 3"]
+    normal: Float[np.ndarray, "v 3"]
+    deviation: Float[np.ndarray, "v"]
+    outlier: Float[np.ndarray, "o 3"]
+    """Contacts that it contradicts."""
+
+
 class Instant(NamedTuple):
     """One position of the time slider."""
 
@@ -108,6 +121,8 @@ class Content:
         What is left out, one line each.
     room
         Kept free around all there is, for what is to come.
+    fitted
+        Surfaces fitted to contacts.
     """
 
     unit: str
@@ -119,6 +134,7 @@ class Content:
     instants: tuple[Instant, ...] = ()
     notes: tuple[str, ...] = ()
     room: float = 0.0
+    fitted: tuple[Fitted, ...] = ()
 
     @property
     def contacts(self) -> Rows:
@@ -133,7 +149,8 @@ class Content:
         contacts = self.contacts
         # Contacts that could be anywhere do not decide what is shown, if there is anything else.
         sound = contacts[~(contacts.deviation > WIDE * self.size)]
-        parts = [self.triangles, *self.trails, *rods, sound.point, *poses]
+        fitted = [one.vertices for one in self.fitted]
+        parts = [self.triangles, *fitted, *self.trails, *rods, sound.point, *poses]
         if not sum(part.size for part in parts):
             parts = [contacts.point]
         points = np.concatenate([part.reshape(-1, 3) for part in parts])
@@ -157,6 +174,8 @@ def joined(contents: Sequence[Content]) -> Content:
         raise ValueError(
             f"lengths in {' and in '.join(units)} on one page; allowed is one unit for all"
         )
+    if units == ["mm"]:
+        contents = [one if one.unit else in_millimetres(one) for one in contents]
     first = max(contents, key=lambda one: bool(one.unit))
     count = max(len(one.instants) for one in contents)
     return replace(
@@ -167,6 +186,26 @@ def joined(contents: Sequence[Content]) -> Content:
         poses=tuple(pose for one in contents for pose in one.poses),
         instants=tuple(_side_by_side(contents, number, count) for number in range(count)),
         notes=tuple(note for one in contents for note in one.notes),
+        fitted=tuple(fitted for one in contents for fitted in one.fitted),
+    )
+
+
+def in_millimetres(content: Content) -> Content:
+    """Contacts without a unit, which files hold in metres, in millimetres."""
+
+    def scaled(rows: Rows) -> Rows:
+        return replace(
+            rows,
+            point=MILLIMETRES * rows.point,
+            arc_length=MILLIMETRES * rows.arc_length,
+            covariance=MILLIMETRES**2 * rows.covariance,
+        )
+
+    return replace(
+        content,
+        unit="mm",
+        size=MILLIMETRES * content.size,
+        instants=tuple(one._replace(contacts=scaled(one.contacts)) for one in content.instants),
     )
 
 

@@ -7,18 +7,19 @@ from vibrissa.files import InputError, readable, reading, text_of
 from vibrissa.inverse import reconstruct
 from vibrissa.io import Setup, load_case, load_setup, read_contacts, read_recording
 from vibrissa.io.contacts import COLUMNS
+from vibrissa.io.fitted import read_stored
 from vibrissa.io.recordings.formats import BAG, TEXT, columns, kind_of
 from vibrissa.io.sweeps import is_sweep, read_sweep
 from vibrissa.surfaces import Surface
 from vibrissa.viewer.content import Content
-from vibrissa.viewer.sweeps import of_case, of_contacts, of_setup, of_sweep
+from vibrissa.viewer.sweeps import of_case, of_contacts, of_setup, of_shape, of_sweep
 
 _CLOUDS = (".ply", ".vtp", ".pcd")
 
 
 def of_file(file: Path, setup: Setup | None, surface: Surface | None) -> Content:
-    """A scan, reconstruction, contacts, recording, setup or case, by its content; the object is for
-    those that know none.
+    """A scan, reconstruction, contacts, shape, recording, setup or case, by its content; the object
+    is for those that know none.
 
     Raises
     ------
@@ -41,6 +42,8 @@ def _of_file(file: Path, setup: Setup | None, surface: Surface | None) -> Conten
         with reading(readable(file), "TOML"):
             tables = tomllib.loads(text_of(file))
         return of_case(load_case(file)) if "trail" in tables else of_setup(load_setup(file))
+    if suffix == ".ply" and (stored := read_stored(file)) is not None:
+        return of_shape(*stored, rod)
     if suffix in _CLOUDS:
         return of_contacts(read_contacts(file), surface, rod)
     kind = kind_of(file)

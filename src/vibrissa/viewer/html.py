@@ -7,29 +7,28 @@ import numpy as np
 
 from vibrissa.contacts import ContactKind, Status
 from vibrissa.drawing import BEHIND, FREE, KIND_COLOURS
-from vibrissa.viewer.colours import Legend, Painter
+from vibrissa.viewer.colours import Legend, Scale
 from vibrissa.viewer.content import Content, Instant, Rows
 
 _ROW = "display:flex;align-items:center;gap:6px;margin:2px 0;"
 _FONT = "font-size:12px;line-height:1.35;padding:2px 10px;"
 
 
-def legend_html(legend: Legend, instants: Sequence[Instant], notes: Sequence[str]) -> str:
-    """What the colours of contacts and rods mean, and what is left out."""
+def legend_html(
+    legend: Legend,
+    instants: Sequence[Instant],
+    notes: Sequence[str],
+    surface: Legend | None = None,
+) -> str:
+    """What the colours of contacts, fitted surfaces and rods mean, and what is left out."""
     lines = []
     if any(len(instant.contacts) for instant in instants):
-        lines.append(
-            f"<div style='margin-bottom:2px'><b>Contacts: {escape(legend.title)}</b></div>"
-        )
-    if legend.scale is not None:
-        low, high = (f"{value:.3g}" for value in legend.scale)
-        bar = f"height:10px;background:linear-gradient(to right,{','.join(Painter.gradient())})"
-        lines.append(f"<div style='{bar}'></div>")
-        ends = "display:flex;justify-content:space-between"
-        lines.append(f"<div style='{ends}'><span>≤ {low}</span><span>≥ {high}</span></div>")
-    lines += [_swatch(colour, text, round_=True) for colour, text in legend.entries]
+        lines.append(_title(f"Contacts: {legend.title}"))
+    lines += _meanings(legend)
+    if surface is not None:
+        lines += [_title(f"Surface: {surface.title}"), *_meanings(surface)]
     if any(instant.rods for instant in instants):
-        lines.append("<div style='margin:6px 0 2px'><b>Rod</b></div>")
+        lines.append(_title("Rod"))
         for colour, text in (
             (KIND_COLOURS[ContactKind.TIP], "bent, tip contact"),
             (KIND_COLOURS[ContactKind.TANGENTIAL], "bent, tangential contact"),
@@ -41,6 +40,26 @@ def legend_html(legend: Legend, instants: Sequence[Instant], notes: Sequence[str
         lines.append("<div style='margin-top:6px'>Ellipsoids hold a contact with 95 %.</div>")
     lines += [f"<div style='margin-top:6px'>{escape(note)}</div>" for note in notes]
     return f"<div style='{_FONT}'>{''.join(lines)}</div>"
+
+
+def _title(text: str) -> str:
+    return f"<div style='margin:6px 0 2px'><b>{escape(text)}</b></div>"
+
+
+def _meanings(legend: Legend) -> list[str]:
+    bar = [] if legend.scale is None else [_bar(legend.scale)]
+    return bar + [_swatch(colour, text, round_=True) for colour, text in legend.entries]
+
+
+def _bar(scale: Scale) -> str:
+    """A scale of colours over three numbers."""
+    low, middle, high = (f"{value:.3g}" for value in (scale.low, scale.middle, scale.high))
+    places = np.linspace(0, 1, 9)
+    colours = [f"rgb({r:.0f}, {g:.0f}, {b:.0f})" for r, g, b in scale.colours(places)]
+    bar = f"height:10px;background:linear-gradient(to right,{','.join(colours)})"
+    numbers = f"<span>≤ {low}</span><span>{middle}</span><span>≥ {high}</span>"
+    row = "display:flex;justify-content:space-between"
+    return f"<div style='{bar}'></div><div style='{row}'>{numbers}</div>"
 
 
 def _swatch(colour: str, text: str, *, round_: bool) -> str:

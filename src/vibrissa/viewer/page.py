@@ -14,7 +14,7 @@ import numpy as np
 from vibrissa.files import InputError, writable
 from vibrissa.libraries import extra_library
 from vibrissa.viewer.colours import MODES, By, modes_of
-from vibrissa.viewer.content import Content
+from vibrissa.viewer.content import Content, Fitted
 from vibrissa.viewer.html import numbers_html
 from vibrissa.viewer.scene import Scene
 
@@ -114,6 +114,11 @@ class Viewer:
         """
         self._panel.grew()
 
+    def refit(self, fitted: Fitted) -> None:
+        """Show another fitted surface."""
+        self.scene.refit([fitted])
+        self._panel.refitted()
+
     def wait(self) -> None:
         """Return when the page is closed, or on Ctrl-C."""
         with contextlib.suppress(KeyboardInterrupt):
@@ -199,6 +204,8 @@ class Panel:
         self._by.on_update(lambda _: self._recolour())
         if len(content.triangles):
             self._add_switch(server, "object")
+        if growing or content.fitted:
+            self._add_switch(server, "surface")
         if growing or "uncertainty" in modes:
             self._add_switch(server, "ellipsoids")
         if growing or len(content.contacts):
@@ -275,6 +282,10 @@ class Panel:
             self.move(last)
         if last % _REPAINT == 0:
             self._recolour()
+
+    def refitted(self) -> None:
+        """Let the legend say what the colours of another surface mean."""
+        self._legend.content = self._scene.legend
 
     def _recolour(self) -> None:
         self._scene.recolour(self._by.value)

@@ -11,8 +11,8 @@ from jaxtyping import Float
 
 from vibrissa.drawing import half_axes
 from vibrissa.viewer.axes import rounded, ticked_box
-from vibrissa.viewer.colours import By, Painter, rgb
-from vibrissa.viewer.content import WIDE, Content, Instant, Rows
+from vibrissa.viewer.colours import OUTLIER, By, Painter, Scale, rgb, surface_legend
+from vibrissa.viewer.content import WIDE, Content, Fitted, Instant, Rows
 from vibrissa.viewer.html import legend_html
 
 if TYPE_CHECKING:
@@ -30,6 +30,10 @@ _MOST_ELLIPSOIDS = 1500
 _NO_PIECES = np.zeros((0, 2, 3))
 _FIELD = 0.6
 """Height of the field of view [rad]: little perspective."""
+_SHELL = 0.35
+"""Opacity of an object beside a fitted surface."""
+_SHADES = 256
+"""Of a fitted surface: as many as a colour has levels."""
 _PICK = 0.006
 """Angle [rad] between a click and a contact: some eight pixels of eight hundred."""
 
@@ -67,6 +71,7 @@ class Scene:
         self.shown = -1
         self._towards = _towards(content)
         self._still()
+        self.refit(content.fitted)
         self.replace(content.instants)
 
     @property
@@ -77,7 +82,8 @@ class Scene:
     @property
     def legend(self) -> str:
         """What the colours mean, in HTML."""
-        return legend_html(self.painter.legend, self._instants, self._content.notes)
+        surface = surface_legend(self.fitted, self._content.unit) if self.fitted else None
+        return legend_html(self.painter.legend, self._instants, self._content.notes, surface)
 
     @property
     def contacts(self) -> Rows:
@@ -99,6 +105,38 @@ class Scene:
                 self.append(instant)
             self.show(len(self._instants) - 1)
 
+    def refit(self, fitted: Sequence[Fitted]) -> None:
+        """Show these fitted surfaces instead of those so far."""
+        self.fitted = tuple(fitted)
+        if not self.fitted:
+            return
+        legend = surface_legend(self.fitted, self._content.unit)
+        assert legend.scale is not None
+        self._fade_object()
+        outliers = np.concatenate([one.outlier for one in self.fitted])
+        with self._lock, self._server.atomic():
+            for number, one in enumerate(self.fitted):
+                self._scene.add_mesh_trimesh(f"/surface/{number}", coloured(one, legend.scale))
+            if self._scene.get_handle_by_name("/surface/outliers") is not None:
+                self._scene.remove_by_name("/surface/outliers")
+            if len(outliers):
+                self._scene.add_point_cloud(
+                    "/surface/outliers",
+                    outliers,
+                    rgb(OUTLIER),
+                    point_size=2 * _POINT * self._content.size,
+                    point_shape="circle",
+                    precision="float32",
+                )
+
+    def _fade_object(self) -> None:
+        """Show the object as the inside of a faint shell: where a fitted surface coincides with
+        it, a browser would draw patches of both.
+        """
+        handle: Any = self._scene.get_handle_by_name("/object")
+        if handle is not None:
+            handle.side, handle.opacity = "back", _SHELL
+
     def _still(self) -> None:
         """What does not change: object, trails, frames, axes, camera."""
         content, scene = self._content, self._scene
@@ -115,6 +153,7 @@ class Scene:
         if len(content.triangles):
             vertices, faces = smoothed(content.triangles)
             scene.add_mesh_simple("/object", vertices, faces, color=_PAINT, side="double")
+        scene.add_frame("/surface", show_axes=False)
         for number, trail in enumerate(content.trails):
             pieces = np.stack([trail[:-1], trail[1:]], axis=1)
             if len(pieces):
@@ -278,6 +317,29 @@ def smoothed(
     mesh = trimesh.Trimesh(triangles.reshape(-1, 3), np.arange(count).reshape(-1, 3), process=True)
     parts = trimesh.graph.smooth_shade(mesh, angle=np.radians(30))
     return np.asarray(parts.vertices), np.asarray(parts.faces)
+
+
+def coloured(fitted: Fitted, scale: Scale) -> Any:
+    """A fitted surface as `trimesh.Trimesh`. Its colours are a texture: a browser takes those of
+    vertices for linear in the light, so that they would differ from the legend's.
+    """
+    import trimesh  # noqa: PLC0415
+    from PIL import Image  # noqa: PLC0415
+
+    places = np.linspace(0, 1, _SHADES)
+    shades = Image.fromarray(scale.colours(places)[None].round().astype(np.uint8))
+    along = ((_SHADES - 1) * scale.place(fitted.deviation) + 0.5) / _SHADES
+    visual: Any = trimesh.visual
+    material = visual.material.PBRMaterial(
+        baseColorTexture=shades, metallicFactor=0.0, roughnessFactor=1.0, doubleSided=True
+    )
+    return trimesh.Trimesh(
+        fitted.vertices,
+        fitted.faces,
+        vertex_normals=fitted.normal,
+        visual=visual.TextureVisuals(np.column_stack([along, 0 * along]), material=material),
+        process=False,
+    )
 
 
 def unit_ball() -> tuple[Float[np.ndarray, "v 3"], np.ndarray]:

@@ -15,6 +15,7 @@ from vibrissa.rod import Rod
 from vibrissa.sensor import RawRecording
 from vibrissa.surfaces import Surface
 from vibrissa.viewer.content import Content, Instant, Rows
+from vibrissa.viewer.growing import GrowingSurface
 from vibrissa.viewer.page import Viewer, address, serve, stop
 from vibrissa.viewer.scene import Scene
 from vibrissa.viewer.sweeps import WHOLE, contact_rows, rods_at, rods_known, triangles_of
@@ -36,7 +37,8 @@ class _Batch(NamedTuple):
 
 
 class ViewerSink(Sink):
-    """Shows a stream in the browser as it runs: what came stays under the time slider.
+    """Shows a stream in the browser as it runs: what came stays under the time slider, and the
+    surface fitted to the contacts grows.
 
     Parameters
     ----------
@@ -66,6 +68,7 @@ class ViewerSink(Sink):
         object_ = triangles_of(surface, near, rod, WHOLE)
         self._content = Content(length_unit(rod), "N", size, object_, room=size / 4)
         self._server = serve(host, port)
+        self._surface = GrowingSurface(rod)
         self.url = address(self._server)
         self._viewer: Viewer | None = None
         self._batches: list[_Batch] = []
@@ -93,15 +96,18 @@ class ViewerSink(Sink):
         """Nothing: a thread of its own draws, so that the stream does not wait for it."""
 
     def close(self) -> None:
-        """Show the last rows; the page stays."""
+        """Show the last rows, and the surface fitted to all contacts; the page stays."""
         self._closed.set()
         self._thread.join()
+        self._draw()
+        self._surface.close()
         self._draw()
 
     def end(self) -> None:
         """Stop serving the page."""
         self._closed.set()
         self._thread.join()
+        self._surface.close()
         if self._viewer is not None:
             self._viewer.close()
         else:
@@ -117,6 +123,10 @@ class ViewerSink(Sink):
             batches, self._batches = self._batches, []
         if batches:
             self._show(self._instant(batches))
+        for batch in batches:
+            self._surface.add(batch.found)
+        if self._viewer is not None and (fitted := self._surface.take()) is not None:
+            self._viewer.refit(fitted)
 
     def _instant(self, batches: list[_Batch]) -> Instant:
         """The newest rod, and some of the contacts that came since the instant before."""

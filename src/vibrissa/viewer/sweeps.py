@@ -1,6 +1,7 @@
-"""Scans, reconstructions, contacts and setups as contents of a page."""
+"""Scans, reconstructions, contacts, shapes and setups as contents of a page."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -13,10 +14,21 @@ from vibrissa.io import Case, Setup
 from vibrissa.io.setup import ConstantPoseTable
 from vibrissa.mechanics.shape import free_lines
 from vibrissa.rod import Rod
+from vibrissa.shape import ShapeMesh
 from vibrissa.surfaces import Surface
 from vibrissa.surfaces.outline import box_of, outline
 from vibrissa.trail import Trail
-from vibrissa.viewer.content import SAMPLES, UNKNOWN, Content, Instant, Pose, Rows
+from vibrissa.viewer.content import (
+    MILLIMETRES,
+    SAMPLES,
+    UNKNOWN,
+    Content,
+    Fitted,
+    Instant,
+    Pose,
+    Rows,
+    in_millimetres,
+)
 
 _INSTANTS = 240
 """Positions of the time slider: as many as it has pixels."""
@@ -93,6 +105,39 @@ def of_contacts(contacts: Contacts, surface: Surface | None, rod: Rod | None) ->
         np.zeros((0, 3, 3)) if rod is None else triangles_of(surface, rows.point / factor, rod),
         instants=instants,
         notes=notes,
+    )
+
+
+def of_shape(
+    mesh: ShapeMesh, contacts: Contacts, outlier: Bool[np.ndarray, "given"], rod: Rod | None
+) -> Content:
+    """A fitted surface and its contacts, in metres unless a rod is in the model's units.
+
+    Raises
+    ------
+    ValueError
+        If the mesh has no triangle.
+    """
+    content = of_contacts(contacts, None, rod)
+    if rod is None:
+        content = in_millimetres(content)
+    factor = MILLIMETRES if rod is None else length_factor(rod)
+    points = contacts.point.reshape(-1, 3)[outlier]
+    return replace(content, fitted=(fitted_of(mesh, points, factor),))
+
+
+def fitted_of(mesh: ShapeMesh, outlier: Float[np.ndarray, "o 3"], factor: float) -> Fitted:
+    """A mesh in the unit shown.
+
+    Raises
+    ------
+    ValueError
+        If it has no triangle.
+    """
+    if not len(mesh.faces):
+        raise ValueError("mesh has no triangle; allowed is a surface that was touched")
+    return Fitted(
+        factor * mesh.vertices, mesh.faces, mesh.normal, factor * mesh.deviation, factor * outlier
     )
 
 

@@ -10,14 +10,17 @@ from vibrissa.forward import Scan
 from vibrissa.inverse import Reconstruction, reconstruct
 from vibrissa.io import Case, Setup
 from vibrissa.reactions import Reactions
+from vibrissa.shape import Shape
 from vibrissa.surfaces import Surface
 from vibrissa.viewer.colours import By
 from vibrissa.viewer.content import Content, joined
 from vibrissa.viewer.files import of_file
 from vibrissa.viewer.page import Viewer, checked_colour, serve
-from vibrissa.viewer.sweeps import of_case, of_contacts, of_setup, of_sweep
+from vibrissa.viewer.sweeps import of_case, of_contacts, of_setup, of_shape, of_sweep
 
-Viewable: TypeAlias = Scan | Reconstruction | Contacts | Reactions | Setup | Case | str | Path
+Viewable: TypeAlias = (
+    Scan | Reconstruction | Contacts | Reactions | Shape | Setup | Case | str | Path
+)
 
 
 def view(
@@ -28,13 +31,15 @@ def view(
     host: str = "127.0.0.1",
     port: int = 8080,
 ) -> Viewer:
-    """Show results or files in the browser: object, moving rods, contacts as they come.
+    """Show results or files in the browser: object, moving rods, contacts as they come, and
+    surfaces fitted to them.
 
     Parameters
     ----------
     what
-        Scans, reconstructions, contacts, reactions, setups, cases (which are scanned), or files of
-        them; all on one page, side by side.
+        Scans, reconstructions, contacts, reactions, shapes, setups, cases (which are scanned), or
+        files of them; all on one page, side by side. Shapes are in metres unless the setup's rod is
+        in the model's units.
     setup
         For recordings and reactions, which need it; its rod gives contacts from files their unit,
         its object is shown with them.
@@ -68,6 +73,7 @@ def view(
 
 def _content(what: Viewable, setup: Setup | None, surface: Surface | None) -> Content:
     known = surface if surface is not None or setup is None else setup.surface
+    rod = None if setup is None else setup.rod
     match what:
         case str() | Path():
             return of_file(Path(what), setup, known)
@@ -76,7 +82,9 @@ def _content(what: Viewable, setup: Setup | None, surface: Surface | None) -> Co
         case Reconstruction():
             return of_sweep(what, known)
         case Contacts():
-            return of_contacts(what, known, None if setup is None else setup.rod)
+            return of_contacts(what, known, rod)
+        case Shape():
+            return of_shape(what.mesh(), Contacts.joined(what.contacts), what.outlier, rod)
         case Reactions():
             if setup is None:
                 raise ValueError("setup = None; reactions need it: allowed is their setup")
@@ -87,5 +95,5 @@ def _content(what: Viewable, setup: Setup | None, surface: Surface | None) -> Co
             return of_case(what)
     raise TypeError(
         f"what = {type(what).__name__}; allowed are scans, reconstructions, contacts, reactions, "
-        "setups, cases and files"
+        "shapes, setups, cases and files"
     )

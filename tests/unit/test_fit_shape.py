@@ -128,12 +128,10 @@ def test_far_from_contacts_little_is_known_and_missing_rods_say_more():
     assert (known.level.values(lines.reshape(-1, 3)) > -0.3e-3).all()
 
 
-def test_rods_that_cannot_have_missed_are_named_and_do_not_count(ellipsoid):
+def test_rods_that_cannot_have_missed_are_named():
     through = np.linspace([-0.05, 0, 0], [0.05, 0, 0], 60)[None]
     known = vb.fit_shape(rings(ELLIPSOID, np.random.default_rng(0)), swept=through)
     assert any("rods that missed are up to 0.0" in line for line in known.warnings)
-    points = np.concatenate([samples(ELLIPSOID, 50), np.zeros((1, 3))])
-    np.testing.assert_allclose(known.distance(points), ellipsoid.distance(points), atol=0.05e-3)
 
 
 def test_of_very_many_contacts_some_are_used(monkeypatch):

@@ -20,6 +20,7 @@ from vibrissa.shape.noise import Noise
 from vibrissa.shape.posterior import Basis, Data, information, solved
 from vibrissa.shape.prior import Ball
 from vibrissa.shape.sites import spread_out
+from vibrissa.shape.stated import Stated
 
 _APART = 0.03
 """Distance between points of rods that are used, relative to the extent: a rod says as much about
@@ -28,9 +29,7 @@ its neighbourhood.
 _CLOSE = 0.02
 """Distance from contacts within which rods say nothing new."""
 _SURE = 3.0
-"""Deviations from zero beyond which the contacts alone say that a point is outside."""
-_REFUTED = 6.0
-"""Deviations inside from which the contacts refute a point."""
+"""Deviations from zero beyond which the contacts alone say on which side a point is."""
 _BEYOND = 0.3
 """Distance from the box around all contacts and the ball that fits them, relative to the extent,
 beyond which nothing is expected anyway.
@@ -76,18 +75,16 @@ def emptied(
     extent: float,
 ) -> tuple[Level, list[str]]:
     """The random surface given, besides contacts at these places, that these points are outside;
-    and a line if contacts contradict some of them, which do not count.
+    and a line if contacts alone surely put some of them inside.
 
     Points are added where the surface so far leaves them open, as long as there are any.
     """
     contacts = level.found.basis.sites.value[:, :3]
     points = _thinned(points, contacts, level.ball, extent)
-    depth = -level.values(points) if len(points) else np.zeros(0)
-    surely = depth > _REFUTED * level.doubt * np.sqrt(level.variance(points))
-    points, deepest = points[~surely], depth[surely].max(initial=0.0)
+    deepest = _contradicted(level, points, contacts, extent)
     said = (
-        f"rods that missed are up to {deepest:.2g} inside the object, by its contacts; they do not "
-        "count there; check that no rod touched"
+        f"rods that missed are up to {deepest:.2g} inside the object, by its contacts; check that "
+        "no rod touched, and whether the object moved"
     )
     chosen = np.zeros((0, 3))
     for _ in range(_TIMES):
@@ -100,6 +97,22 @@ def emptied(
         level = _given_outside(level, places, target, noise, chosen, len(contacts))
         points = points[KDTree(chosen).query(points)[0] > 0]
     return level, [said] if deepest > 0 else []
+
+
+def _contradicted(
+    level: Level,
+    points: Float[np.ndarray, "n 3"],
+    contacts: Float[np.ndarray, "m 3"],
+    extent: float,
+) -> float:
+    """How deep inside the deepest of the points is that contacts alone surely put there, or 0."""
+    depth = -level.values(points) if len(points) else np.zeros(0)
+    points, depth = points[depth > 0], depth[depth > 0]
+    if not len(points):
+        return 0.0
+    stated = Stated.at(level, points, contacts, extent)
+    deviation = stated.deviations(level.variance(points), stated.away(contacts))
+    return float(depth[depth > _SURE * deviation].max(initial=0.0))
 
 
 def _thinned(

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
+from scipy.ndimage import map_coordinates
 
 from vibrissa.contacts import Contacts
 from vibrissa.geometry.checks import finite_array, positive
@@ -23,6 +24,10 @@ _KNOWN = 0.01
 """Standard deviation, relative to the extent of the contacts, below which a surface counts as seen:
 its 95 % interval is then a twenty-fifth of the object's size wide.
 """
+
+
+_NEXT = 2.0
+"""Voxels from the surface within which deviations are not interpolated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +189,14 @@ class Shape:
         points = lattice_points(origin, step, counts)
         jets = self.level.jets(points)
         away = jets[:, 0] / np.maximum(np.linalg.norm(jets[:, 1:], axis=1), STEEP)
-        inside = probability_inside(away, self._deviations(points), _KNOWN * self.extent)
+        # Between every other voxel where they are not next to the surface.
+        half = counts // 2 + 1
+        few = self._deviations(lattice_points(origin, 2 * step, half)).reshape(half)
+        between = np.indices(tuple(counts)).reshape(3, -1) / 2
+        deviation = map_coordinates(few, between, order=1)
+        near = np.abs(away) < _NEXT * step
+        deviation[near] = self._deviations(points[near])
+        inside = probability_inside(away, deviation, _KNOWN * self.extent)
         return Occupancy(origin, step, inside.reshape(counts))
 
     def _rows(self, points: ArrayLike, function: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:

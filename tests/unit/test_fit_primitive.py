@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 from test_locate import touched
-from touched import rings
+from touched import NORMAL, POINT, rings
 
 import vibrissa as vb
 
@@ -130,3 +130,46 @@ def test_what_cannot_be_fitted() -> None:
         vb.fit_primitive(SURFACES.Box, contacts)
     with pytest.raises(ValueError, match="one of the classes Plane, Sphere"):
         vb.fit_primitive(SURFACES.Mesh, contacts)
+
+
+def felt(point: np.ndarray, normal: np.ndarray, rng: np.random.Generator) -> vb.Contacts:
+    """Contacts with errors."""
+    turned = normal + NORMAL * rng.normal(size=normal.shape)
+    return vb.Contacts(
+        point + POINT * rng.normal(size=point.shape),
+        turned / np.linalg.norm(turned, axis=1)[:, None],
+        np.tile(POINT**2 * np.eye(3), (len(point), 1, 1)),
+        np.tile(NORMAL**2 * np.eye(3), (len(point), 1, 1)),
+    )
+
+
+def test_an_end_at_an_outermost_contact_is_not_believed() -> None:
+    """The error of one normal would put an end of the cylinder there, known to a tenth of a
+    millimetre.
+    """
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        angle, height = rng.uniform(-1.2, 1.2, 8), rng.uniform(-0.02, 0.02, 8)
+        normal = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+        point = 0.01 * normal + np.outer(height, [0, 0, 1])
+        found = vb.fit_primitive(SURFACES.Cylinder, felt(point, normal, rng))
+        assert "length" in found.undetermined
+        radius = found.parameters["radius"]
+        assert radius.value == pytest.approx(0.01, abs=4 * radius.deviation)
+
+
+def test_a_single_face_of_a_box() -> None:
+    rng = np.random.default_rng(1)
+    point = np.column_stack([rng.uniform(-0.01, 0.01, (20, 2)), np.full(20, 0.005)])
+    normal = np.tile([0.0, 0.0, 1.0], (20, 1))
+    found = vb.fit_primitive(SURFACES.Box, felt(point, normal, rng))
+    assert {f"half_extent_{i}" for i in (1, 2, 3)} <= set(found.undetermined)
+    np.testing.assert_allclose(found.surface.distances(point), 0, atol=3 * POINT)
+
+
+def test_contacts_of_a_ball_are_no_torus() -> None:
+    rng = np.random.default_rng(0)
+    normal = rng.normal(size=(25, 3))
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    with pytest.raises(ValueError, match=r"contacts: no Torus fits them; .*minor_radius"):
+        vb.fit_primitive(SURFACES.Torus, felt(0.02 * normal, normal, rng))

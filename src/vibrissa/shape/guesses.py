@@ -164,10 +164,13 @@ def _ellipsoid(point: np.ndarray, normal: np.ndarray, extent: float) -> Iterator
 def _box(point: np.ndarray, normal: np.ndarray, extent: float) -> Iterator[Guess]:
     """Axes from two normals that are almost perpendicular; faces where contacts have them."""
     first, second = np.nonzero(np.abs(normal @ normal.T) < _SQUARE)
+    # Of a single face, those within it are open.
+    turns = [_frame(normal[0])] if not len(first) else []
     for i, j in zip(first[first < second], second[first < second], strict=True):
         other = normal[j] - (normal[j] @ normal[i]) * normal[i]
         other /= np.linalg.norm(other)
-        turn = np.column_stack([normal[i], other, np.cross(normal[i], other)])
+        turns.append(np.column_stack([normal[i], other, np.cross(normal[i], other)]))
+    for turn in turns:
         place, unit = point @ turn, normal @ turn
         low, high = place.min(axis=0), place.max(axis=0)
         for axis in range(3):

@@ -55,6 +55,10 @@ class Kind(NamedTuple):
     """A copy of the template with given sizes, in its own axes."""
     surface: Callable[..., Surface]
     """The object at a pose, from rotation matrix, shift and logarithms of sizes."""
+    ends: tuple[tuple[int, Float[np.ndarray, "3"]], ...] = ()
+    """Sizes that only say where faces end, and how the middle moves by how much they grow, so that
+    one end stays.
+    """
 
 
 def _put(*names: str) -> Callable[[Any, Any], Any]:
@@ -109,6 +113,7 @@ _KINDS: dict[type[Surface], Kind] = {
         Cylinder(_O, _Z, 1.0, 1.0),
         _put("radius", "length"),
         lambda turn, shift, sizes: Cylinder(shift, turn[:, 2], *np.exp(sizes)),
+        ((1, np.array([0.0, 0.0, 0.5])),),
     ),
     Cone: Kind(
         ("half_angle", "height"),
@@ -122,6 +127,7 @@ _KINDS: dict[type[Surface], Kind] = {
             np.exp(sizes[1]) * np.tan(np.exp(sizes[0])),
             np.exp(sizes[1]),
         ),
+        ((1, np.zeros(3)),),
     ),
     Torus: Kind(
         ("major_radius", "minor_radius"),
@@ -148,13 +154,14 @@ _KINDS: dict[type[Surface], Kind] = {
         Box(_O, (1.0, 1.0, 1.0)),
         _three("half_extents"),
         lambda turn, shift, sizes: Box(_O, np.exp(sizes)).placed(Rotation.from_matrix(turn), shift),
+        tuple(enumerate(np.eye(3))),
     ),
 }
 
 
 def kind_of(kind: type[Surface]) -> Kind:
     """What is known of a class of primitives; raises ValueError for any other."""
-    if kind not in _KINDS:
+    if not isinstance(kind, type) or kind not in _KINDS:
         allowed = ", ".join(each.__name__ for each in _KINDS)
         name = getattr(kind, "__name__", repr(kind))
         raise ValueError(f"kind = {name}; allowed is one of the classes {allowed}")

@@ -110,8 +110,8 @@ def fit_primitive(kind: type[Surface], contacts: Contacts | Sequence[Contacts]) 
     Raises
     ------
     ValueError
-        If the kind is none of these, or fewer contacts can be used than it has unknowns for (three
-        equations each, and at least three contacts).
+        If the kind is none of these, none fits, or fewer contacts can be used than it has unknowns
+        for (three equations each, and at least three contacts).
 
     Notes
     -----
@@ -131,6 +131,7 @@ def fit_primitive(kind: type[Surface], contacts: Contacts | Sequence[Contacts]) 
     fit, gross = _settled(shape, kind, given)
     sound = given.part(~gross)
     fit, found = _improved(shape, sound, _ordered(shape, fit), robust=False)
+    fit, found = _open_ended(shape, sound, fit, found)
     share, inverse, free = _spread(found, sound)
     misfit = float(found.misfit[0])
     freedom = 3 * len(sound.point) - (len(inverse) - len(free))
@@ -148,8 +149,12 @@ def fit_primitive(kind: type[Surface], contacts: Contacts | Sequence[Contacts]) 
         )
     outlier = np.zeros(len(whole.point), dtype=bool)
     outlier[rows] = gross
+    try:
+        solid = shape.surface(fit.turn[0], fit.shift[0], fit.sizes[0])
+    except ValueError as error:
+        raise ValueError(f"contacts: no {kind.__name__} fits them; the best has {error}") from error
     return PrimitiveFit(
-        shape.surface(fit.turn[0], fit.shift[0], fit.sizes[0]),
+        solid,
         parameters,
         covariance,
         misfit,
@@ -217,6 +222,32 @@ def _ordered(shape: Kind, fit: Shaped) -> Shaped:
     turn = fit.turn[:, :, order]
     turn = turn * np.array([1.0, 1.0, np.linalg.det(turn[0])])
     return Shaped(turn, fit.shift, fit.sizes[:, order])
+
+
+def _open_ended(
+    shape: Kind, given: Gathered, fit: Shaped, found: Equations
+) -> tuple[Shaped, Equations]:
+    """The fit without the ends that hardly any contact speaks for: one that comes to lie at an
+    outermost contact, by whose error alone it would be determined, goes far beyond all of them.
+    """
+    for size, moves in shape.ends:
+        for way in (1.0, -1.0) if np.any(moves) else (1.0,):
+            far = fit.part(slice(None))
+            long = np.maximum(_FAR * np.exp(fit.sizes[0, size]), _FAR * given.extent)
+            far.shift[0] += way * (long - np.exp(fit.sizes[0, size])) * fit.turn[0] @ moves
+            far.sizes[0, size] = np.log(long)
+            other, told = _improved(shape, given, far, robust=False)
+            if told.misfit[0] < found.misfit[0] + _SPOKEN:
+                fit, found = other, told
+    return fit, found
+
+
+_FAR = 4.0
+"""Size, relative to the present one and to the extent, that is beyond all contacts."""
+_SPOKEN = float(chi2.isf(1e-4, 2))
+"""Rise of the misfit without an end that contacts determine: one end adds an unknown, and there are
+many contacts at which it might lie.
+"""
 
 
 def _spread(

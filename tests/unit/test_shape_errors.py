@@ -19,7 +19,7 @@ def ball(
 
 
 def fitted(seed: int) -> vb.Shape:
-    return vb.fit_shape(rings(ball(), np.random.default_rng(seed), sweeps=9, contacts=40))
+    return vb.fit_shape(rings(ball(), np.random.default_rng(seed), sweeps=12, contacts=40))
 
 
 @pytest.fixture(scope="module")

@@ -147,7 +147,7 @@ def locate(surface: Surface, contacts: Contacts | Sequence[Contacts]) -> Locatio
 
 def located(surface: Surface, everything: Gathered) -> Location:
     """`locate` for contacts that were gathered."""
-    given = _spread(everything, _MOST)
+    given = _spread(everything.raised(), _MOST)
     few = _spread(given, _FEW)
     sampled = samples(surface, given.extent, np.random.default_rng(0))
     poses, found = fitted(surface, few, starts(few, sampled))

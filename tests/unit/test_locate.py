@@ -121,7 +121,7 @@ def test_contacts_at_a_rim_say_nothing_about_a_turn_along_it():
     points = np.column_stack([rim, np.full(9, 0.5 * CAN.length)])
     contacts, turn, shift = touched(CAN, points, rng)
     pose = Poses(turn.as_matrix()[None], shift[None])
-    given = gathered(contacts)
+    given = gathered(contacts).raised()
     found, axis = equations(CAN, given, pose), turn.apply([0, 0, 1])
     about = np.cross(axis, given.point.mean(axis=0) - shift) / given.extent
     np.testing.assert_allclose(found.slope[0] @ [*axis, *about], 0, atol=0.1)
@@ -136,11 +136,13 @@ def test_how_far_a_can_may_slide_if_neither_end_was_touched():
         side = np.column_stack([np.cos(angle), np.sin(angle), height])
         contacts, turn, shift = touched(CAN, side * [CAN.radius, CAN.radius, 1], rng)
         found, axis = vb.locate(CAN, contacts), turn.apply([0, 0, 1])
+        covered = []
         for pose in found.poses:
             slide = axis @ (pose.translation - shift)
             known = np.sqrt(max(axis @ pose.covariance[3:, 3:] @ axis, 0.0))
-            free = np.linalg.norm(pose.free[:, 3:] @ axis) > 0.5 * 2 * top
-            assert free or abs(slide) < 3 * known
+            free = np.linalg.norm(pose.free[:, 3:] @ axis) > top
+            covered.append(free or abs(slide) < 3 * known)
+        assert any(covered)
 
 
 def test_another_object_is_told():

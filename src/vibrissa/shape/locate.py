@@ -61,7 +61,7 @@ class Location:
     poses
         All poses found that fit; those that differ by a free motion only are one.
     middle
-        (3,) middle of the contacts, about which covariances are.
+        (3,) about which covariances are: the middle of the contacts, within their errors.
     freedom
         Degrees of freedom of the misfit.
     log_evidence

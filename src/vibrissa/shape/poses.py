@@ -119,7 +119,7 @@ def equations_of(told: Told, given: Gathered, poses: Poses) -> Equations:
     """Residuals with their slopes."""
     count, turn, middle = len(poses.turn), poses.turn[:, None], given.point.mean(axis=0)
     outward = (turn @ told.normal[..., None])[..., 0].reshape(-1, 3)
-    # Along an edge the normal does not turn: only the principal curvatures that are large count less.
+    # Along an edge the normal does not turn, so only large principal curvatures count less.
     principal, axes = np.linalg.eigh(0.5 * (told.curvature + np.swapaxes(told.curvature, 2, 3)))
     size = np.abs(principal) * deviations(given.covariance)[:, None]
     share = (axes * np.minimum(1, _SHARP / np.maximum(size, 1e-300))[..., None, :]) @ np.swapaxes(

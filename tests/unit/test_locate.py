@@ -11,8 +11,11 @@ from scipy.stats import chi2
 from touched import NORMAL, POINT, on_surface
 
 import vibrissa as vb
+from vibrissa.shape.poses import Poses, equations
+from vibrissa.shape.sites import gathered
 
 ELLIPSOID = vb.surfaces.Ellipsoid(center=(0, 0, 0), semi_axes=(0.026, 0.021, 0.017))
+CAN = vb.surfaces.Cylinder(center=(0, 0, 0), axis=(0, 0, 1), radius=0.015, length=0.05)
 MUG = Path(__file__).parents[2] / "examples/meshes/mug.ply"
 
 
@@ -110,6 +113,43 @@ def test_a_rod_may_turn_about_its_axis_and_end_for_end():
     np.testing.assert_allclose(found.translation, shift, atol=4 * POINT)
     # The free motion is a turn about the axis.
     np.testing.assert_allclose(np.abs(found.poses[0].free[0, :3] @ axis), 1, atol=0.02)
+
+
+def test_contacts_at_a_rim_say_nothing_about_a_turn_along_it():
+    # So far out that differences of normals are exact.
+    angle, point = np.linspace(0, 5, 9), 10 * POINT
+    across = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(9)])
+    normal = (across + [0, 0, 1]) / 2**0.5
+    contacts = vb.Contacts(
+        CAN.radius * across + [0, 0, 0.5 * CAN.length] + point * normal,
+        normal,
+        np.tile(point**2 * np.eye(3), (9, 1, 1)),
+        np.tile(NORMAL**2 * np.eye(3), (9, 1, 1)),
+    )
+    given = gathered(contacts)
+    found = equations(CAN, given, Poses(np.eye(3)[None], np.zeros((1, 3))))
+    axis = np.array([0.0, 0.0, 1.0])
+    turn = [*axis, *np.cross(axis, given.point.mean(axis=0)) / given.extent]
+    # One radian, in errors of the normal.
+    np.testing.assert_allclose(found.slope[0] @ turn, 0, atol=0.01 / NORMAL)
+
+
+@pytest.mark.slow
+def test_how_far_a_can_may_slide_if_neither_end_was_touched():
+    rng, top = np.random.default_rng(8), 0.5 * CAN.length - 1e-4
+    for _ in range(16):
+        angle, height = rng.uniform(0, 2 * np.pi, 14), rng.uniform(3e-3 - top, top, 14)
+        height[0] = top
+        side = np.column_stack([np.cos(angle), np.sin(angle), height])
+        contacts, turn, shift = touched(CAN, side * [CAN.radius, CAN.radius, 1], rng)
+        found, axis = vb.locate(CAN, contacts), turn.apply([0, 0, 1])
+        covered = []
+        for pose in found.poses:
+            slide = axis @ (pose.translation - shift)
+            known = np.sqrt(max(axis @ pose.covariance[3:, 3:] @ axis, 0.0))
+            free = np.linalg.norm(pose.free[:, 3:] @ axis) > top
+            covered.append(free or abs(slide) < 3 * known)
+        assert any(covered)
 
 
 def test_another_object_is_told():

@@ -61,7 +61,7 @@ class Location:
     poses
         All poses found that fit; those that differ by a free motion only are one.
     middle
-        (3,) middle of the contacts, about which covariances are.
+        (3,) about which covariances are: the middle of the contacts, within their errors.
     freedom
         Degrees of freedom of the misfit.
     log_evidence
@@ -147,7 +147,7 @@ def locate(surface: Surface, contacts: Contacts | Sequence[Contacts]) -> Locatio
 
 def located(surface: Surface, everything: Gathered) -> Location:
     """`locate` for contacts that were gathered."""
-    given = _spread(everything, _MOST)
+    given = _spread(everything.raised(), _MOST)
     few = _spread(given, _FEW)
     sampled = samples(surface, given.extent, np.random.default_rng(0))
     poses, found = fitted(surface, few, starts(few, sampled))

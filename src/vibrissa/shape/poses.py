@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from vibrissa.shape.noise import Noise, columns_of
-from vibrissa.shape.sites import Gathered, single
+from vibrissa.shape.sites import Gathered, deviations, single
 from vibrissa.surfaces import Surface
 
 _STEPS, _SETTLED = 30, 1e-6
@@ -119,14 +119,17 @@ def equations_of(told: Told, given: Gathered, poses: Poses) -> Equations:
     """Residuals with their slopes."""
     count, turn, middle = len(poses.turn), poses.turn[:, None], given.point.mean(axis=0)
     outward = (turn @ told.normal[..., None])[..., 0].reshape(-1, 3)
-    deviation = np.sqrt(np.einsum("nii->n", given.covariance[:, :3, :3]) / 3)
-    size = np.linalg.norm(told.curvature, axis=(2, 3)) * deviation
-    share = np.minimum(1, _SHARP / np.maximum(size, 1e-300))[..., None, None]
-    limited = told.curvature * share
+    # Along an edge the normal does not turn, so only large principal curvatures count less.
+    principal, axes = np.linalg.eigh(0.5 * (told.curvature + np.swapaxes(told.curvature, 2, 3)))
+    size = np.abs(principal) * deviations(given.covariance)[:, None]
+    share = (axes * np.minimum(1, _SHARP / np.maximum(size, 1e-300))[..., None, :]) @ np.swapaxes(
+        axes, 2, 3
+    )
+    limited = share @ told.curvature
     curvature = (turn @ limited @ np.swapaxes(turn, 2, 3)).reshape(-1, 3, 3)
     point, normal = np.tile(given.point, (count, 1)), np.tile(given.normal, (count, 1))
     covariance = np.tile(given.covariance, (count, 1, 1))
-    residual = np.column_stack([-told.distance.ravel(), normal - outward])
+    residual = np.column_stack([given.above - told.distance.ravel(), normal - outward])
     # Turned by ω about the middle and moved by v, the object passes a contact by ω × a + v, with a
     # from the middle to the contact; ω × a = −[a] ω.
     arm = crossed(point - middle)
@@ -138,7 +141,7 @@ def equations_of(told: Told, given: Gathered, poses: Poses) -> Equations:
     slope[:, 1:, :3] += crossed(outward)
     if told.more is not None:
         more = told.more.copy()
-        more[:, :, 1:] = turn @ (share * more[:, :, 1:])
+        more[:, :, 1:] = turn @ share @ more[:, :, 1:]
         slope = np.concatenate([slope, -more.reshape(len(point), 4, -1)], axis=2)
     root = np.linalg.cholesky(Noise.errors(normal, covariance, curvature, given.extent))
     both = np.linalg.solve(root, np.concatenate([residual[:, :, None], slope], axis=2))

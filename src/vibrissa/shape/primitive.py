@@ -120,7 +120,7 @@ def fit_primitive(kind: type[Surface], contacts: Contacts | Sequence[Contacts]) 
     sizes are known.
     """
     shape = kind_of(kind)
-    whole = gathered(contacts)
+    whole = gathered(contacts).raised()
     rows = spread_out(np.column_stack([whole.point / whole.extent, 0.5 * whole.normal]), _MOST)
     given = whole.part(rows)
     if 3 * len(rows) < shape.known + 1:

@@ -36,8 +36,6 @@ _BARRIER = 400.0
 """Rise of the misfit at which walks stop: ripple of a mesh with an edge of a twentieth of its size
 makes 100 for 12 contacts with normals known to 0.3°.
 """
-_WEAK = 0.02
-"""Deviation along a direction, relative to the largest, below which it is not followed."""
 
 
 _APART = 0.3
@@ -93,8 +91,7 @@ def bounds(
     deviation = 1 / np.sqrt(values[known])
     if not follow:
         return Bounds((axes * deviation**2) @ axes.T, free)
-    followed = deviation > _WEAK * deviation[0]
-    steps = _FIRST * np.minimum(deviation, LARGE / 4)[followed, None] * axes[:, followed].T
+    steps = _FIRST * np.minimum(deviation, LARGE / 4)[:, None] * axes.T
     walked = _walked(surface, given, pose, misfit, np.concatenate([steps, -steps]), factor)
     motion, rise, begun = walked.motion, walked.rise, walked.begun
     size, exact = np.linalg.norm(motion, axis=1), len(free)

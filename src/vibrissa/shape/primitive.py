@@ -233,17 +233,19 @@ def _open_ended(
     for size, moves in shape.ends:
         for way in (1.0, -1.0) if np.any(moves) else (1.0,):
             far = fit.part(slice(None))
-            long = np.maximum(_FAR * np.exp(fit.sizes[0, size]), _FAR * given.extent)
+            long = np.exp(fit.sizes[0, size]) + _FAR * given.extent
             far.shift[0] += way * (long - np.exp(fit.sizes[0, size])) * fit.turn[0] @ moves
             far.sizes[0, size] = np.log(long)
-            other, told = _improved(shape, given, far, robust=False)
+            other, told = _improved(shape, given, far, robust=False, steps=_NEARLY)
             if told.misfit[0] < found.misfit[0] + _SPOKEN:
                 fit, found = other, told
     return fit, found
 
 
 _FAR = 4.0
-"""Size, relative to the present one and to the extent, that is beyond all contacts."""
+"""Growth, relative to the extent, after which an end is beyond all contacts."""
+_NEARLY = 5
+"""Steps to the fit without an end: more might drift along what nothing determines, to an edge."""
 _SPOKEN = float(chi2.isf(1e-4, 2))
 """Rise of the misfit without an end that contacts determine: one end adds an unknown, and there are
 many contacts at which it might lie.

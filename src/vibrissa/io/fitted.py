@@ -106,7 +106,7 @@ def read_stored(file: Path) -> StoredShape | None:
     InputError
         If the file cannot be read, or is a mesh without contacts.
     """
-    with reading(readable(file), "a shape"):
+    with reading(readable(file), "contacts"):
         held = _held(file)
         if held is None:
             return None

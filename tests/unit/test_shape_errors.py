@@ -18,13 +18,13 @@ def ball(
     return vb.surfaces.Sphere(center=center, radius=radius)
 
 
-def fitted(seed: int, sweeps: int = 9) -> vb.Shape:
-    return vb.fit_shape(rings(ball(), np.random.default_rng(seed), sweeps=sweeps, contacts=40))
+def fitted(seed: int) -> vb.Shape:
+    return vb.fit_shape(rings(ball(), np.random.default_rng(seed), sweeps=9, contacts=40))
 
 
 @pytest.fixture(scope="module")
 def shape() -> vb.Shape:
-    return fitted(0, sweeps=12)
+    return fitted(0)
 
 
 @pytest.fixture(scope="module")

@@ -43,7 +43,7 @@ def contacts(tmp_path: Path) -> list[Path]:
 @pytest.fixture(scope="module")
 def comparison() -> vb.Comparison:
     """With a model that is larger above and smaller below."""
-    shape = vb.fit_shape(rings(BALL, np.random.default_rng(0), sweeps=12))
+    shape = vb.fit_shape(rings(BALL, np.random.default_rng(0), sweeps=8))
     return vb.compare(
         shape, vb.surfaces.Sphere(center=(0, 0, 0.5e-3), radius=0.02), resolution=0.002
     )

@@ -18,10 +18,10 @@ _AWAY = 3.0
 cubed: curvatures of a part seen from one side are not those of the other (ellipsoid, blob).
 """
 _UNSEEN = 0.5
-"""Deviation that the distance from contacts adds where none are on the other side, relative to that
-distance: right beyond them the surface may end at an edge, so that what goes straight on is off by
-all of it. With its relative power 3/2, as for a slope that is a random walk, meshes of a cone and
-a plate with edges of 0.5 and 1 mm went on by 3 mm with a stated deviation of 0.3 mm.
+"""Deviation that the distance from contacts adds where none are on the other side, relative to the
+extent, its relative power 3/2: beyond them the surface may turn anywhere, so that its slope is a
+random walk. Of surfaces from 1 to 10 sweeps, 95 % intervals held 0.88 to 0.90 of the points 1 to
+10 mm from a contact without (rounded block, torus, ellipsoid, blob, superquadric).
 """
 _BETWEEN, _BEYOND = 0.1, 0.25
 """Distances of the nearest contact on the other side, relative to the extent, up to which a point
@@ -66,7 +66,7 @@ class Stated(NamedTuple):
     ) -> Float[np.ndarray, "*rows n"]:
         """Deviations of distances for variances of the level and distances from contacts."""
         far = away / self.extent
-        open_ = self.extent * np.hypot(_AWAY * far**3, _UNSEEN * self.aside * far)
+        open_ = self.extent * np.hypot(_AWAY * far**3, _UNSEEN * self.aside * far**1.5)
         return np.hypot(np.sqrt(variance) * self.factor, open_)
 
 

@@ -93,7 +93,7 @@ def test_a_contour_is_followed_from_end_to_end():
     assert contour.deviation.max() <= 0.5e-3
     for end, place in zip(ends, contour.point[[0, -1]], strict=True):
         assert np.linalg.norm(end - place) < 0.5e-3
-    # The way along the front: 28 mm of the face, 8 mm of another, and the rounded edge between.
+    # The way along the front: 25 mm of a face, the rounded edge, and 16 mm of another face.
     length = np.linalg.norm(np.diff(contour.point, axis=0), axis=1).sum()
     exact = 0.025 + 0.003 * np.pi / 2 + 0.016
     assert length == pytest.approx(exact, abs=0.5e-3)

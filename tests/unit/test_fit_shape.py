@@ -1,5 +1,7 @@
 """Surfaces through contacts with known errors: places, normals, intervals, outliers, words."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from touched import on_surface, rings
@@ -129,9 +131,15 @@ def test_far_from_contacts_little_is_known_and_missing_rods_say_more():
 
 
 def test_rods_that_cannot_have_missed_are_named():
+    """A rod through the middle is at most the smallest semi-axis deep, and said to be half of that
+    at least.
+    """
+    given = rings(ELLIPSOID, np.random.default_rng(0))
     through = np.linspace([-0.05, 0, 0], [0.05, 0, 0], 60)[None]
-    known = vb.fit_shape(rings(ELLIPSOID, np.random.default_rng(0)), swept=through)
-    assert any("rods that missed are up to 0.0" in line for line in known.warnings)
+    (line,) = vb.fit_shape(given, swept=through).warnings
+    depth = float(line.removeprefix("rods that missed are up to ").split()[0])
+    assert 0.0085 < depth < 0.0175
+    assert not vb.fit_shape(given, swept=through + [0, 0, 0.0175]).warnings
 
 
 def test_of_very_many_contacts_some_are_used(monkeypatch):
@@ -150,6 +158,8 @@ def test_deviations_grow_where_sweeps_disagree_with_the_surface_of_the_others():
     given = rings(BLOCK, np.random.default_rng(2), sweeps=3)
     shape, points = vb.fit_shape(given), samples(BLOCK)
     assert shape.level.doubt > 1.2
+    sure = replace(shape, level=shape.level._replace(doubt=1.0))
+    assert (shape.deviation(points) > sure.deviation(points)).all()
     away = np.abs(shape.distance(points))
     assert np.mean(away < 1.96 * shape.deviation(points)) > 0.93
     assert vb.fit_shape(rings(BLOCK, np.random.default_rng(2))).level.doubt < 1.2

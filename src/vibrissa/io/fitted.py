@@ -78,7 +78,7 @@ def read_shape(path: str | Path) -> Shape:
     """
     file = Path(path)
     with reading(readable(file), "contacts"):
-        held = _held(file) if file.suffix.lower() == ".ply" else None
+        held = _held(file, _data(file)) if file.suffix.lower() == ".ply" else None
     try:
         if held is None:
             return fit_shape(read_contacts(file))
@@ -107,10 +107,10 @@ def read_stored(file: Path) -> StoredShape | None:
         If the file cannot be read, or is a mesh without contacts.
     """
     with reading(readable(file), "contacts"):
-        held = _held(file)
+        data = _data(file)
+        held = _held(file, data)
         if held is None:
             return None
-        data = _data(file)
         vertex, rows = data["vertex"].data, data[_CONTACT].data
         places, normals = (np.stack([vertex[n] for n in names], axis=-1) for names in _VERTEX)
         faces = np.stack(data["face"].data["vertex_indices"]).astype(np.int64)
@@ -127,9 +127,8 @@ def _data(file: Path) -> "PlyData":
     return PlyData.read(str(file))
 
 
-def _held(file: Path) -> tuple[Contacts, np.ndarray | None, float | None] | None:
+def _held(file: Path, data: "PlyData") -> tuple[Contacts, np.ndarray | None, float | None] | None:
     """Contacts, rods that missed and length scale in a PLY file; nothing if it is a cloud."""
-    data = _data(file)
     names = [element.name for element in data.elements]
     if _CONTACT not in names:
         if "face" not in names:

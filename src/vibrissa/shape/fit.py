@@ -63,8 +63,6 @@ fixed: contacts on one side determine only its ratio to a power of the length.
 """
 _SPREAD = Scales(0.0, 0.8, 0.3, 0.0)
 """Of their logarithms."""
-_MEDIAN_SQUARE = 0.455
-"""Of a normal variable of unit variance."""
 _UNKNOWN_NOISE = 2.0
 """Spread of the noise's factor where contacts come without covariances."""
 
@@ -128,7 +126,7 @@ def fit_shape(
     noise = fit.noise()
     others = left_out(level.found, data, noise)
     findings = findings_of(others, noise, sites, given.extent)
-    level = level._replace(doubt=_doubt(others))
+    level = level._replace(doubt=_excess(others, 0.95))
     if lines is not None:
         places = level.places(sites.point)
         level, refuted = emptied(level, places, data.target, noise, lines, given.extent)
@@ -251,25 +249,23 @@ def _rescaled(level: Level, data: Data, fit: Fitting) -> tuple[Level, Fitting]:
     """With errors as large as each sweep's distance from the others says, where they were not
     given: the evidence alone takes what neighbours share for the surface's own.
     """
-    squares = [
-        missed[::JET] ** 2 / np.diag(predicted + errors)[::JET]
-        for missed, predicted, errors in left_out(level.found, data, fit.noise())
-    ]
-    factor = max(float(np.median(np.concatenate(squares)) / _MEDIAN_SQUARE) ** 0.5, 1.0)
+    factor = _excess(left_out(level.found, data, fit.noise()), 0.5)
     fit = replace(fit, scales=fit.scales._replace(noise=fit.scales.noise * factor))
     found = posterior(level.found.basis, data, fit.noise())
     return Level.of(level.ball, level.folds, found), fit
 
 
-def _doubt(others: list[LeftOut]) -> float:
-    """How much further sweeps are from the surface through all others than 95 % of a normal
-    distribution, at least 1: with a few sweeps up to 2, with all it is 1 (block, torus, blob).
+def _excess(others: list[LeftOut], share: float) -> float:
+    """By how much such a share of contacts is further from the surface through all other sweeps
+    than of a normal distribution, at least 1: at 95 %, up to 2 with a few sweeps, and 1 with all
+    (block, torus, blob).
     """
     apart = [
         np.abs(missed[::JET]) / np.sqrt(np.diag(predicted + errors)[::JET])
         for missed, predicted, errors in others
     ]
-    return max(float(np.quantile(np.concatenate(apart), 0.95) / ndtri(0.975)), 1.0)
+    normal = ndtri(0.5 + 0.5 * share)
+    return max(float(np.quantile(np.concatenate(apart), share) / normal), 1.0)
 
 
 def _likely(fit: Fitting, ball: Ball, folds: Folds | None, expected: Expected) -> Scales:

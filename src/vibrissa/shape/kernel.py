@@ -191,14 +191,14 @@ class Sum(NamedTuple):
         first = self.weights[:, 0]
         second = np.einsum("mki,mi->mk", self.sites.slope, self.weights[:, 1:])
         middle = self.sites.value.mean(axis=0)
-        sites, own = self.sites.value - middle, np.sum((self.sites.value - middle) * second, axis=1)
+        sites = self.sites.value - middle
+        own = np.sum(sites * second, axis=1)
 
         def some(here: np.ndarray) -> np.ndarray:
             k, b, c = self.kernel.slopes(_squared(here, sites))
             along = here @ second.T - own
             value = k @ first + np.sum(b * along, axis=1)
-            pull = b * first + c * along
-            slope = b @ second + pull @ sites - pull.sum(axis=1)[:, None] * here
+            slope = b @ second - _summed(b * first + c * along, here, sites)
             return np.column_stack([value, slope])
 
         found = self._in_parts(some, places.value - middle)
@@ -222,7 +222,7 @@ class Sum(NamedTuple):
             along = here @ second.T - own
             pull = b * first + c * along
             bend = c * first + third * along
-            slope = b @ second + pull @ sites - pull.sum(axis=1)[:, None] * here
+            slope = b @ second - _summed(pull, here, sites)
             # Σ bend d dᵀ − c (d wᵀ + w dᵀ) − pull I
             aside = c @ second + bend @ sites - 0.5 * bend.sum(axis=1)[:, None] * here
             curvature = (bend @ outer + c @ mixed).reshape(-1, 3, 3)
@@ -240,6 +240,11 @@ class Sum(NamedTuple):
         return np.concatenate(
             in_threads(lambda start: function(places[start : start + step]), starts)
         )
+
+
+def _summed(weights: np.ndarray, here: np.ndarray, sites: np.ndarray) -> np.ndarray:
+    """Sums (n, k) of differences from places to all sites, with weights (n, m)."""
+    return weights.sum(axis=1)[:, None] * here - weights @ sites
 
 
 def _outer(one: np.ndarray, other: np.ndarray) -> np.ndarray:

@@ -17,6 +17,7 @@ from scipy.special import ndtri
 
 from vibrissa.contacts import Contacts
 from vibrissa.geometry.checks import positive
+from vibrissa.shape.departures import Departures
 from vibrissa.shape.kernel import JET, Coordinates
 from vibrissa.shape.level import Level, places_of
 from vibrissa.shape.noise import Noise, reach_of
@@ -43,7 +44,7 @@ from vibrissa.shape.sites import (
 )
 from vibrissa.shape.swept import emptied, swept_points
 
-_FIRST, _CARRIERS, _TRIED = 240, 400, 120
+_FIRST, _CARRIERS, _TRIED = 300, 400, 120
 """Sites of the first surface, sites that carry unknowns of the second, and those of which the
 evidence is taken. Twice as many carriers change distances by 0.03 to 0.15 of their deviations
 (median; torus, blob, block).
@@ -126,7 +127,8 @@ def fit_shape(
     noise = fit.noise()
     others = left_out(level.found, data, noise)
     findings = findings_of(others, noise, sites, given.extent)
-    level = level._replace(doubt=_excess(others, 0.95))
+    departures = Departures.of(sites.point, level.jets(sites.point), fit.curvature, given.extent)
+    level = level._replace(doubt=_excess(others, 0.95), departures=departures)
     if lines is not None:
         places = level.places(sites.point)
         level, refuted = emptied(level, places, data.target, noise, lines, given.extent)
@@ -242,7 +244,7 @@ def _second(
     level, data = _surface(fit, ball, folds, _CARRIERS)
     fit = fit.judged(level, data.open, alike=True)
     fit = replace(fit, curvature=level.curvature(fit.sites.point))
-    return Level.of(ball, folds, posterior(level.found.basis, data, fit.noise())), data, fit
+    return level.knowing(posterior(level.found.basis, data, fit.noise())), data, fit
 
 
 def _rescaled(level: Level, data: Data, fit: Fitting) -> tuple[Level, Fitting]:
@@ -252,7 +254,7 @@ def _rescaled(level: Level, data: Data, fit: Fitting) -> tuple[Level, Fitting]:
     factor = _excess(left_out(level.found, data, fit.noise()), 0.5)
     fit = replace(fit, scales=fit.scales._replace(noise=fit.scales.noise * factor))
     found = posterior(level.found.basis, data, fit.noise())
-    return Level.of(level.ball, level.folds, found), fit
+    return level.knowing(found), fit
 
 
 def _excess(others: list[LeftOut], share: float) -> float:

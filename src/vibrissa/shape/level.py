@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from vibrissa.shape.departures import NONE, Departures
 from vibrissa.shape.kernel import Coordinates, Points, Sum, Values
 from vibrissa.shape.posterior import Posterior
 from vibrissa.shape.prior import Ball, Folds
@@ -24,8 +25,9 @@ _STEPS, _SETTLED = 30, 1e-5
 
 
 class Level(NamedTuple):
-    """Mean level of the ball, coordinates, and what the contacts say besides; and the factor by
-    which deviations are too small, as sweeps that are left out show.
+    """Mean level of the ball, coordinates, and what the contacts say besides; the factor by which
+    deviations are too small, as sweeps that are left out show; and how far the surface departs from
+    where its curvatures lead.
     """
 
     ball: Ball
@@ -33,12 +35,18 @@ class Level(NamedTuple):
     found: Posterior
     total: Sum
     doubt: float = 1.0
+    departures: Departures = NONE
 
     @classmethod
-    def of(cls, ball: Ball, folds: Folds | None, found: Posterior, doubt: float = 1.0) -> "Level":
+    def of(cls, ball: Ball, folds: Folds | None, found: Posterior) -> "Level":
         """With the weights of its sites."""
         total = Sum(found.basis.kernel, found.basis.sites, found.weights)
-        return cls(ball, folds, found, total, doubt)
+        return cls(ball, folds, found, total)
+
+    def knowing(self, found: Posterior) -> "Level":
+        """The same where something else is known of its unknowns."""
+        level = Level.of(self.ball, self.folds, found)
+        return level._replace(doubt=self.doubt, departures=self.departures)
 
     def places(self, points: Points) -> Coordinates:
         """Coordinates of points."""

@@ -174,4 +174,4 @@ def _given_outside(
         weight += _DAMPING * (1 / narrowed - 1 / open_ - weight)
         push += _DAMPING * (moved / narrowed - center / open_ - push)
     found = solved(basis, precision + (rows * weight) @ rows.T, pull + rows @ push)
-    return Level.of(level.ball, level.folds, found, level.doubt)
+    return level.knowing(found)

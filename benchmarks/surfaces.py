@@ -13,6 +13,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from timing import best_of, pin_to_one_core
+from touching import touched
 
 if __name__ == "__main__":
     pin_to_one_core()
@@ -22,28 +23,15 @@ import igl
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial import KDTree
-from scipy.spatial.transform import Rotation
 
 import vibrissa as vb
 
-WIRE = vb.Rod.cylinder(length=0.05, radius=0.25e-3, youngs_modulus=206e9)
-SENSOR = vb.Sensor(
-    np.array([0.0, 0.0, 0.025]),
-    np.array([0.0, 0.0, 0.0, 1.0]),
-    "on_sensor",
-    tare_seconds=0.95,
-    force_noise=2e-3,
-    torque_noise=4e-5,
-    position_noise=1e-5,
-)
 OBJECTS: dict[str, vb.surfaces.Surface] = {
     "ellipsoid": vb.surfaces.Ellipsoid(center=(0, 0, 0), semi_axes=(0.024, 0.019, 0.016)),
     "rounded block": vb.surfaces.Offset(
         vb.surfaces.Box(center=(0, 0, 0), half_extents=(0.017, 0.014, 0.012)), 0.003
     ),
 }
-REACH, AWAY, RATE = 0.04, 0.05, 50.0
-"""Half a sweep's length, the clamp's distance from the object's middle [m]; samples a second."""
 OFFSETS = 5e-3 * np.arange(-2, 3)
 """Of a side's five sweeps from its middle [m]."""
 NEAR = 3e-3
@@ -80,20 +68,6 @@ class Cloud(NamedTuple):
 
 Method = Callable[[], Callable[[np.ndarray], Found]]
 """Reconstructs; what it returns compares with the truth, which is not timed."""
-
-
-def touched(surface: vb.surfaces.Surface) -> list[vb.Contacts]:
-    """Contacts of parallel sweeps from six sides, one object for each sweep."""
-    arm = vb.SimulatedArm(WIRE, surface, SENSOR, rate=RATE, rng=np.random.default_rng(0))
-    sides = [Rotation.from_euler("x", 90 * i, degrees=True) for i in range(4)]
-    sides += [Rotation.from_euler("y", angle, degrees=True) for angle in (90, -90)]
-    parts = []
-    for i, side in enumerate(sides):
-        for offset in OFFSETS + 1e-3 * i - 2e-3:
-            ends = side.apply([[REACH, offset, -AWAY], [-REACH, offset, -AWAY]])
-            trail = vb.Trail(ends, np.tile(side.as_quat(), (2, 1)))
-            parts.append(arm(trail).contacts)
-    return parts
 
 
 def spread(surface: vb.surfaces.Surface, count: int = 2000) -> np.ndarray:
@@ -177,7 +151,7 @@ def main(names: list[str]) -> None:
     for name, surface in OBJECTS.items():
         if names and not name.startswith(tuple(names)):
             continue
-        contacts, truth = touched(surface), spread(surface)
+        contacts, truth = touched(surface, OFFSETS), spread(surface)
         cloud = cloud_of(contacts)
         near = KDTree(cloud.unit * cloud.point).query(truth)[0] < NEAR
         print(

@@ -19,7 +19,7 @@ from vibrissa.contact import State as Unknowns
 from vibrissa.geometry.rotation import cross_matrices
 from vibrissa.mechanics.model import Clamp
 from vibrissa.numerics.derivatives import implicit
-from vibrissa.numerics.lanes import lanes
+from vibrissa.numerics.lanes import FEW, lanes
 from vibrissa.surfaces import Surface
 
 _SOLVED = 1e-9
@@ -68,7 +68,7 @@ class Reading(NamedTuple):
         return self.by_step.turn - self.by_step.shift @ cross_matrices(arm)
 
 
-@lanes(width=16, walks=True)
+@lanes(width=16, alone=FEW, walks=True)
 def readings(shared: tuple[Surface, Bench], start: State, pose: Pose) -> Reading:
     """Readings of rows in contact, each equilibrium sought from a starting state, under that
     state's tangential force.
@@ -134,7 +134,7 @@ class Free(NamedTuple):
     """Points of it, in the world."""
 
 
-@lanes(width=16, walks=True)
+@lanes(width=16, alone=FEW, walks=True)
 def free_readings(shared: tuple[Bench, Float[Array, "k"]], pose: Pose) -> Free:
     """Readings of rows without contact, and points of the rod there, at fractions of its length."""
     given, share = shared

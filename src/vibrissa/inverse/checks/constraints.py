@@ -25,7 +25,7 @@ from vibrissa.mechanics.imperfect import Imperfect, contact_near, rod_end
 from vibrissa.mechanics.kirchhoff import Kirchhoff
 from vibrissa.mechanics.model import AT_ORIGIN
 from vibrissa.mechanics.models import spatial
-from vibrissa.numerics.lanes import AnyArray, lanes
+from vibrissa.numerics.lanes import FEW, AnyArray, lanes
 from vibrissa.rod import Rod
 
 COUPLE, TORSION, TIP, TANGENT = range(4)
@@ -93,7 +93,7 @@ def holding(tip: Flags) -> Bool[np.ndarray, "n 4"]:
     return np.stack([both, both, tip, ~tip], axis=1)
 
 
-@lanes(width=_WIDTH, blocks=1, walks=True)
+@lanes(width=_WIDTH, blocks=1, alone=FEW, walks=True)
 def constraints_of(stated: Stated, rod: Imperfect) -> Constraints:
     """Constraints for rods given by their base wrenches, clamp axes."""
     wrench, (length, described, leaning) = jnp.asarray(rod.wrench), stated

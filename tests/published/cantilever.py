@@ -1,5 +1,7 @@
 """Cantilevers under a force of fixed direction at the tip, and what they tell of the contact."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,6 +10,7 @@ import vibrissa as vb
 from vibrissa.mechanics.kirchhoff import Kirchhoff, Push
 from vibrissa.mechanics.line import Line
 from vibrissa.mechanics.model import AT_ORIGIN
+from vibrissa.numerics.compiled import compiled
 
 STEPS = 32
 _SETTLED, _ITERATIONS = 1e-13, 25
@@ -24,7 +27,7 @@ def bent_by(rod: Kirchhoff, forces: np.ndarray) -> list[Line]:
         line = rod.line(AT_ORIGIN, Push(push, jnp.cross(tip, push)))
         return line.reach[-1] - tip, line
 
-    @jax.jit
+    @partial(compiled, quick=True)
     def both(tip: jax.Array, push: jax.Array) -> tuple[jax.Array, jax.Array, Line]:
         off, line = under(tip, push)
         return off, jax.jacfwd(lambda tip: under(tip, push)[0])(tip), line

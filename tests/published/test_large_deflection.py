@@ -3,6 +3,8 @@
 All rods are in units L = EI = 1; the spatial solver is used throughout.
 """
 
+from functools import partial
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -18,6 +20,7 @@ import vibrissa as vb
 from vibrissa.mechanics.kirchhoff import Kirchhoff, Push
 from vibrissa.mechanics.model import AT_ORIGIN, Clamp
 from vibrissa.mechanics.models import spatial
+from vibrissa.numerics.compiled import compiled
 
 CLOSE = 1e-8
 UNIFORM = vb.Rod.unit().curved(vb.RestShape.polynomial((0.0,)))
@@ -126,7 +129,7 @@ def test_a_buckled_column_bends_as_in_the_table_of_timoshenko_and_gere() -> None
 def test_an_end_moment_rolls_a_rod_into_a_circle() -> None:
     """M = 2π EI/L, energy M²/2; half of it into a semicircle."""
     rod = spatial(UNIFORM, 20)
-    line = jax.jit(lambda moment: rod.line(AT_ORIGIN, Push(jnp.zeros(3), moment)))
+    line = compiled(lambda moment: rod.line(AT_ORIGIN, Push(jnp.zeros(3), moment)), quick=True)
     for moment in (2 * np.pi, np.pi):
         found = line(moment * np.array([0.0, 1.0, 0.0]))
         angle = moment * np.asarray(found.nodes)
@@ -268,7 +271,7 @@ def buckling_load(rod: Kirchhoff, near: float) -> float:
     between a tip point and the rod that its load bends is stationary.
     """
 
-    @jax.jit
+    @partial(compiled, quick=True)
     def stiffness(load: jax.Array) -> jax.Array:
         def gap(aside: jax.Array) -> jax.Array:
             tip, push = jnp.array([1.0, 0.0, 0.0]) * aside, jnp.array([0.0, 0.0, -1.0]) * load
@@ -324,7 +327,7 @@ def critical_weight(rod: vb.Rod, near: float) -> float:
     resultants that leave nothing at its tip are no longer unique.
     """
 
-    @jax.jit
+    @partial(compiled, quick=True)
     def stiffness(weight: jax.Array) -> jax.Array:
         heavy = spatial(rod.loaded(vb.Loads(gravity=weight * jnp.array([0.0, 0.0, -1.0]))), STEPS)
 

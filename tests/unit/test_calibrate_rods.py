@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bench_files import SETUP
-from calibration_bench import BALL, COUNT, RATE, REST, WIRE, sensor, swept
+from calibration_bench import BALL, WIRE, sensor, swept
 
 import vibrissa as vb
 from vibrissa.io import write_calibration
@@ -25,19 +25,19 @@ ROD = replace(
 
 
 @cache
-def swept_with(lower: float) -> vb.Reactions:
-    """Reactions of a sweep under the ball, and at rest before it."""
-    trail = swept(0.005).trail
-    trail = vb.Trail(trail.position - [0, 0, lower], trail.orientation)
+def swept_with(lower: float, every: int) -> vb.Reactions:
+    """Reactions of a sweep under the ball, and at rest before it; one in so many of the samples."""
+    given = swept(0.005)
+    trail = vb.Trail(given.trail.position[::every] - [0, 0, lower])
     scan = vb.scan(ROD, BALL, trail)
     force, moment = (np.nan_to_num(part) for part in (scan.reactions.force, scan.reactions.moment))
-    return vb.Reactions(trail, force, moment, time=np.arange(REST + COUNT) / RATE)
+    return vb.Reactions(trail, force, moment, time=given.time[::every])
 
 
-def calibrated(start: vb.Rod, *free: str, lower: float = 0.0) -> vb.Calibration:
+def calibrated(start: vb.Rod, *free: str, lower: float = 0.0, every: int = 2) -> vb.Calibration:
     """From the log of such a sweep."""
     one = sensor()
-    raw = one.measure(swept_with(lower), np.random.default_rng(0))
+    raw = one.measure(swept_with(lower, every), np.random.default_rng(0))
     return vb.calibrate(raw, vb.Setup(start, one, BALL), free=free)
 
 
@@ -77,7 +77,7 @@ def test_a_tip_radius_is_the_same_number() -> None:
 
 def test_light_touches_of_the_tip_hardly_tell_taper_from_stiffness() -> None:
     """Which is said, and stated as wide intervals that hold the truth."""
-    found = calibrated(ROD, "youngs_modulus", "taper", lower=0.018)
+    found = calibrated(ROD, "youngs_modulus", "taper", lower=0.018, every=1)
     assert_found(found, youngs_modulus=206e9, taper=0.3)
     assert found.estimates["youngs_modulus"].deviation > 20e9
     ((first, second, correlation),) = found.identifiability.confused

@@ -2,6 +2,8 @@
 against each other where one is a special case of another.
 """
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,6 +12,7 @@ import pytest
 import vibrissa as vb
 from vibrissa.contact import FRICTIONLESS, Held, Law, Leaning, Scene, State, root, touching
 from vibrissa.mechanics.model import AT_ORIGIN
+from vibrissa.numerics.compiled import compiled
 
 OBJECT = vb.surfaces.EllipticParaboloid(a=0.5, b=1.0, h=0.4)
 ROD = vb.Rod(length=0.9, bending_stiffness=1.3)
@@ -28,14 +31,16 @@ def _state(scan: vb.Scan, row: int) -> jnp.ndarray:
     return jnp.append(jnp.asarray(scan.point[row]) / scan.rod.length, force)
 
 
-@jax.jit
-def _solved(
+def _solution(
     rod: vb.Rod, point: jnp.ndarray, start: jnp.ndarray, law: Law = FRICTIONLESS
 ) -> jnp.ndarray:
     """Contact point and force in the units of the rod."""
     scene, clamp = Scene(OBJECT, rod.length), AT_ORIGIN._replace(point=point / rod.length)
     x = root(lambda x: touching(scene, law, State.of(x), clamp).residual, start)
     return jnp.append(x[:3] * rod.length, x[3] * rod.force_scale)
+
+
+_solved = compiled(_solution, quick=True)
 
 
 def _rows(scan: vb.Scan) -> list[int]:
@@ -52,9 +57,10 @@ def test_a_root_is_the_row_of_a_scan(scan: vb.Scan) -> None:
 
 
 def test_derivatives_by_the_rod_are_those_of_other_rods(scan: vb.Scan) -> None:
+    derivative = compiled(jax.jacrev(_solution), quick=True)
     for row in _rows(scan):
         point, start = jnp.asarray(TRAIL.position[row]), _state(scan, row)
-        slope = jax.jit(jax.jacrev(_solved))(ROD, point, start)
+        slope = derivative(ROD, point, start)
         for name, h in (("length", 1e-6), ("bending_stiffness", 1e-6)):
             around = [
                 _solved(
@@ -71,11 +77,11 @@ def test_derivatives_by_the_rod_are_those_of_other_rods(scan: vb.Scan) -> None:
 
 
 def test_derivatives_by_the_clamp_are_those_of_a_finer_scan(scan: vb.Scan) -> None:
-    h = 1e-5
+    h, derivative = 1e-5, compiled(jax.jacfwd(_solution, argnums=1), quick=True)
     for row in _rows(scan):
         at = TRAIL.position[row]
         start = _state(scan, row)
-        slope = jax.jit(jax.jacfwd(_solved, argnums=1))(ROD, jnp.asarray(at), start)
+        slope = derivative(ROD, jnp.asarray(at), start)
         near = vb.scan(
             ROD, OBJECT, vb.Trail.line(start=TRAIL.position[0], stop=at + (h, 0, 0), count=80)
         )
@@ -101,11 +107,11 @@ def test_a_tip_between_two_halves_is_pushed_as_by_one_plane() -> None:
     start = jnp.array([0.15, 0.0, 0.85, 0.3])
     single = Scene(plane, 1.0)
 
-    @jax.jit
+    @partial(compiled, quick=True)
     def alone(start: jnp.ndarray) -> jnp.ndarray:
         return root(lambda x: touching(single, FRICTIONLESS, State.of(x), clamp).residual, start)
 
-    @jax.jit
+    @partial(compiled, quick=True)
     def shared(x: jnp.ndarray, share: jnp.ndarray) -> jnp.ndarray:
         state = State(x[:3], x[3], share)
         return touching(Scene(both, 1.0), Held(jnp.array([0, 1])), state, clamp).residual

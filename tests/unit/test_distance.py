@@ -18,13 +18,14 @@ from vibrissa import surfaces
 from vibrissa.numerics.compiled import compiled
 from vibrissa.surfaces import Surface
 
+quickly = partial(compiled, quick=True)
 CENTER = np.array([0.1, -0.2, 0.9])
 DIRECTIONS = np.random.default_rng(11).normal(size=(60, 3))
 DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
 TURN, SHIFT = Rotation.from_rotvec([0.4, -0.7, 1.1]), np.array([0.3, 0.1, -0.2])
 
 
-@compiled
+@quickly
 def jets(surface: Surface, points: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Distance, gradient and Hessian, as the solver takes them."""
 
@@ -36,7 +37,7 @@ def jets(surface: Surface, points: jax.Array) -> tuple[jax.Array, jax.Array, jax
     return lax.map(one, points)
 
 
-@compiled
+@quickly
 def bends(surface: Surface, points: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Gradient and Hessian of the level function."""
     return (
@@ -208,7 +209,7 @@ def test_forward_and_reverse_differentiation_agree() -> None:
     expected = jets(surface, points)[2][:, 1:]
     for mode in (jax.jacfwd, jax.jacrev):
         np.testing.assert_allclose(
-            compiled(partial(lax.map, mode(mode(surface.distance))))(points),
+            quickly(partial(lax.map, mode(mode(surface.distance))))(points),
             expected,
             rtol=0,
             atol=1e-13,
@@ -234,12 +235,12 @@ def test_derivatives_by_the_objects_own_figures() -> None:
 
     figures = jnp.array([*CENTER, 0.5])
     np.testing.assert_allclose(
-        compiled(jax.grad(of_ellipsoid))(figures),
+        quickly(jax.grad(of_ellipsoid))(figures),
         jax.jit(jax.grad(of_sphere))(figures),
         rtol=1e-12,
     )
     np.testing.assert_allclose(
-        compiled(jax.hessian(of_ellipsoid))(figures),
+        quickly(jax.hessian(of_ellipsoid))(figures),
         jax.jit(jax.hessian(of_sphere))(figures),
         rtol=0,
         atol=1e-11,

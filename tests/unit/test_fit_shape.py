@@ -1,6 +1,7 @@
 """Surfaces through contacts with known errors: places, normals, intervals, outliers, words."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -19,16 +20,25 @@ def samples(surface: vb.surfaces.Surface, count: int = 400, seed: int = 1) -> np
     return on_surface(surface, 0.02 * rng.normal(size=(count, 3)) / 3**0.5 + 1e-4)
 
 
+SURFACES = {"ellipsoid": ELLIPSOID, "block": BLOCK}
+
+
+@cache
+def fitted(name: str, sweeps: int = 16) -> vb.Shape:
+    """Kept, as a fit takes seconds."""
+    return vb.fit_shape(rings(SURFACES[name], np.random.default_rng(3), sweeps=sweeps))
+
+
 @pytest.fixture(scope="module")
 def ellipsoid() -> vb.Shape:
-    return vb.fit_shape(rings(ELLIPSOID, np.random.default_rng(0)))
+    return fitted("ellipsoid")
 
 
 @pytest.mark.parametrize(
-    ("surface", "mean", "normals"), [(ELLIPSOID, 0.012e-3, 0.3), (BLOCK, 0.06e-3, 1.0)]
+    ("name", "mean", "normals"), [("ellipsoid", 0.012e-3, 0.3), ("block", 0.06e-3, 1.0)]
 )
-def test_surface_is_within_its_interval(surface, mean, normals):
-    shape = vb.fit_shape(rings(surface, np.random.default_rng(3)))
+def test_surface_is_within_its_interval(name, mean, normals):
+    surface, shape = SURFACES[name], fitted(name)
     points = samples(surface)
     away, deviation = np.abs(shape.distance(points)), shape.deviation(points)
     assert away.mean() < mean
@@ -111,7 +121,7 @@ def test_outliers_are_named_and_do_no_harm():
 
 
 def test_far_from_contacts_little_is_known_and_missing_rods_say_more():
-    whole = rings(ELLIPSOID, np.random.default_rng(2), sweeps=20)
+    whole = rings(ELLIPSOID, np.random.default_rng(2), sweeps=12)
     near = vb.fit_shape(whole[whole.point[:, 2] < 0.004])
     points = samples(ELLIPSOID)
     far = points[:, 2] > 0.010
@@ -134,7 +144,7 @@ def test_rods_that_cannot_have_missed_are_named():
     """A rod through the middle is at most the smallest semi-axis deep, and said to be half of that
     at least.
     """
-    given = rings(ELLIPSOID, np.random.default_rng(0))
+    given = rings(ELLIPSOID, np.random.default_rng(0), sweeps=8)
     through = np.linspace([-0.05, 0, 0], [0.05, 0, 0], 60)[None]
     (line,) = vb.fit_shape(given, swept=through).warnings
     depth = float(line.removeprefix("rods that missed are up to ").split()[0])
@@ -162,17 +172,17 @@ def test_deviations_grow_where_sweeps_disagree_with_the_surface_of_the_others():
     assert (shape.deviation(points) > sure.deviation(points)).all()
     away = np.abs(shape.distance(points))
     assert np.mean(away < 1.96 * shape.deviation(points)) > 0.93
-    assert vb.fit_shape(rings(BLOCK, np.random.default_rng(2))).level.doubt < 1.2
+    assert fitted("block").level.doubt < 1.2
 
 
 def test_units_do_not_matter():
-    given = rings(ELLIPSOID, np.random.default_rng(4), sweeps=6)
+    given = rings(ELLIPSOID, np.random.default_rng(3), sweeps=6)
     scaled = vb.Contacts(
         1000 * given.point, given.normal, 1e6 * given.covariance, given.normal_covariance,
         sweep=given.sweep,
     )  # fmt: skip
     points = samples(ELLIPSOID, 50)
-    small, large = vb.fit_shape(given), vb.fit_shape(scaled)
+    small, large = fitted("ellipsoid", sweeps=6), vb.fit_shape(scaled)
     np.testing.assert_allclose(
         large.distance(1000 * points), 1000 * small.distance(points), atol=1e-4
     )
@@ -184,13 +194,13 @@ def test_units_do_not_matter():
 def test_turning_the_object_turns_the_surface():
     from scipy.spatial.transform import Rotation
 
-    given, turn = rings(ELLIPSOID, np.random.default_rng(4), sweeps=6), Rotation.random(rng=1)
+    given, turn = rings(ELLIPSOID, np.random.default_rng(3), sweeps=6), Rotation.random(rng=1)
     moved = vb.Contacts(
         turn.apply(given.point) + 0.1, turn.apply(given.normal), given.covariance,
         turn.as_matrix() @ given.normal_covariance @ turn.as_matrix().T, sweep=given.sweep,
     )  # fmt: skip
     points = samples(ELLIPSOID, 50)
-    one, other = vb.fit_shape(given), vb.fit_shape(moved)
+    one, other = fitted("ellipsoid", sweeps=6), vb.fit_shape(moved)
     # Pools are cells of a lattice, which turning changes.
     difference = other.distance(turn.apply(points) + 0.1) - one.distance(points)
     assert np.abs(difference).max() < 0.5 * np.max(one.deviation(points))

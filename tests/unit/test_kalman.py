@@ -2,6 +2,8 @@
 densely.
 """
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,6 +20,7 @@ from vibrissa.inverse.smoothing.kalman import (
     Gaussian,
     Step,
 )
+from vibrissa.numerics.compiled import compiled
 
 COUNT = 6
 INTENSITIES = np.array([0.5, 0.8, 0.3, 0.1, 0.05])
@@ -54,7 +57,7 @@ def first() -> Gaussian:
     return Gaussian(rng.normal(size=SIZE), root @ root.T)
 
 
-@jax.jit
+@partial(compiled, quick=True)
 def predicted(start: Gaussian, step: Step) -> Gaussian:
     return kalman.predicted(kalman.entered(start, *step[:3]), step, jnp.asarray(INTENSITIES))
 

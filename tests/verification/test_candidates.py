@@ -13,6 +13,7 @@ from vibrissa.inverse.shared import samples_of, setting_of, under_friction
 from vibrissa.mechanics.kirchhoff import Kirchhoff, Push
 from vibrissa.mechanics.model import AT_ORIGIN
 from vibrissa.mechanics.models import spatial
+from vibrissa.numerics.compiled import compiled
 
 ROD = vb.Rod(length=1.0, bending_stiffness=1.0).curved(vb.RestShape.arc(radius=0.4))
 
@@ -25,7 +26,10 @@ def held_at(rod: Kirchhoff, force: np.ndarray, s: float) -> np.ndarray:
         line = rod.line(AT_ORIGIN, Push(push, jnp.cross(reach, push)))
         return (line.at(jnp.asarray(s))[0] - reach,) * 2
 
-    slopes, reach = jax.jit(jax.jacfwd(gap, has_aux=True)), rod.free(AT_ORIGIN).at(s)[0]
+    slopes, reach = (
+        compiled(jax.jacfwd(gap, has_aux=True), quick=True),
+        rod.free(AT_ORIGIN).at(s)[0],
+    )
     for _ in range(8):
         slope, off = slopes(reach)
         reach = reach - jnp.linalg.solve(slope, off)

@@ -7,6 +7,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
@@ -21,7 +22,7 @@ NONE = (0.0, 0.0, 0.0)
 """Of wind or weight: rods with the same kinds of loads share compiled code."""
 
 
-def drag(speed: float) -> float:
+def drag(speed: np.ndarray) -> np.ndarray:
     """Drag per length [N/m] of the wire across a wind: the law that `vb.Loads` names."""
     reynolds = 1.204 * speed * 2 * RADIUS / 1.825e-5
     coefficient = 1.18 + 6.8 / reynolds**0.89 + 1.96 / reynolds**0.5
@@ -29,29 +30,29 @@ def drag(speed: float) -> float:
     return 1.204 * RADIUS * coefficient * speed**2
 
 
-def held(tip: float, wind: float) -> np.ndarray:
+def held(tip: ArrayLike, wind: float) -> np.ndarray:
     """Angle, forces along y and z and moment [N m] at the clamp of a wire along z in a wind along y
-    whose tip is turned by an angle towards y.
+    whose tip is turned by an angle towards y: (4, …) of angles (…).
     """
-    stiffness = WIRE.bending_stiffness
+    stiffness, tip = WIRE.bending_stiffness, np.asarray(tip)
 
-    def slope(_: float, at: np.ndarray) -> list[float]:
-        angle, along_y, along_z, moment = at
+    def slope(_: float, at: np.ndarray) -> np.ndarray:
+        angle, along_y, along_z, moment = at.reshape(4, -1)
         y, z = np.sin(angle), np.cos(angle)
-        # Across the rod.
-        load = drag(abs(wind * z)) if abs(wind * z) > 0 else 0.0
-        push = np.sign(wind * z) * load * np.array([z, -y])
-        return [-moment / stiffness, push[0], push[1], z * along_y - y * along_z]
+        # Across the rod; of no wind it is none.
+        push = np.sign(wind * z) * drag(np.maximum(abs(wind * z), 1e-12))
+        return np.concatenate([-moment / stiffness, push * z, -push * y, z * along_y - y * along_z])
 
-    end = solve_ivp(slope, (0, LENGTH), [tip, 0, 0, 0], "DOP853", rtol=1e-11, atol=1e-14)
-    return end.y[:, -1]
+    start = np.concatenate([tip.ravel(), np.zeros(3 * tip.size)])
+    end = solve_ivp(slope, (0, LENGTH), start, "DOP853", rtol=1e-11, atol=1e-14)
+    return end.y[:, -1].reshape(4, *tip.shape)
 
 
 @pytest.mark.parametrize("wind", [15.0, 30.0, 40.0, 60.0, 100.0])
 def test_a_wire_that_strong_wind_bends_far_stands(wind: float) -> None:
     """Up to 69° at the tip: the clamp's forces and moment, for the one shape that there is."""
     angles = np.linspace(0, np.pi, 200)
-    left = np.array([held(angle, wind)[0] for angle in angles])
+    left = held(angles, wind)[0]
     (place,) = np.flatnonzero(left[:-1] * left[1:] < 0)
     tip = brentq(lambda angle: held(angle, wind)[0], angles[place], angles[place + 1], xtol=1e-14)
     _, along_y, along_z, moment = held(tip, wind)
@@ -85,18 +86,19 @@ def test_a_wire_as_soft_as_a_rope_hangs(ratio: float, angle: float) -> None:
     as the weight grows.
     """
 
-    def bent(tip: float) -> np.ndarray:
-        return solve_ivp(
-            lambda s, at: [at[1], ratio * s * np.sin(at[0])],
-            (0, 1),
-            [tip, 0],
-            "DOP853",
-            rtol=1e-12,
-            atol=1e-16,
-        ).y[:, -1]
+    def bent(tip: ArrayLike) -> np.ndarray:
+        tip = np.asarray(tip)
+
+        def slope(s: float, at: np.ndarray) -> np.ndarray:
+            turned, rate = at.reshape(2, -1)
+            return np.concatenate([rate, ratio * s * np.sin(turned)])
+
+        start = np.concatenate([tip.ravel(), np.zeros(tip.size)])
+        end = solve_ivp(slope, (0, 1), start, "DOP853", rtol=1e-12, atol=1e-16)
+        return end.y[:, -1].reshape(2, *tip.shape)
 
     tips = np.geomspace(1e-6, np.pi / 2, 400)
-    left = np.array([bent(tip)[0] for tip in tips]) - np.radians(angle)
+    left = bent(tips)[0] - np.radians(angle)
     place = np.flatnonzero((left[:-1] < 0) & (left[1:] >= 0))[0]
     tip = brentq(
         lambda tip: bent(tip)[0] - np.radians(angle), tips[place], tips[place + 1], xtol=1e-16

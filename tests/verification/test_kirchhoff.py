@@ -2,12 +2,14 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax import lax
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
@@ -16,10 +18,12 @@ import vibrissa as vb
 from vibrissa.contact import FRICTIONLESS, Scene, State, touching
 from vibrissa.mechanics.elastica import Elastica
 from vibrissa.mechanics.kirchhoff import Kirchhoff, Push
-from vibrissa.mechanics.model import Clamp
+from vibrissa.mechanics.model import Clamp, Contact
 from vibrissa.mechanics.models import spatial
 from vibrissa.mechanics.section import Steps
+from vibrissa.numerics.compiled import compiled
 
+quickly = partial(compiled, quick=True)
 AXIS = jnp.array([0.0, 0.0, 1.0])
 BOWL = vb.surfaces.EllipticParaboloid(a=0.5, b=1.0, h=0.4)
 
@@ -51,17 +55,16 @@ def test_the_uniform_rod_is_that_of_the_closed_form(scan: vb.Scan) -> None:
     """Contact, arc length, incidence and energy of the paper's case; the error falls by more than
     2⁷ when the steps are halved.
     """
-    worst = []
+
+    @quickly
+    def contacts(model: Kirchhoff | Elastica, wrenches: tuple[jax.Array, jax.Array]) -> Contact:
+        return lax.map(lambda wrench: model.contact(*wrench, ORIGIN), wrenches)
+
+    worst, rows = [], scan.in_contact
     for steps in (8, 16, 32):
         rod = jax.jit(rod_of, static_argnums=(0, 1, 2))(uniform, None, steps)
-        found, exact = (
-            jax.jit(jax.vmap(model.contact, (0, 0, None)))(
-                scan.reactions.force[scan.in_contact],
-                scan.reactions.moment[scan.in_contact],
-                ORIGIN,
-            )
-            for model in (rod, Elastica())
-        )
+        wrenches = (scan.reactions.force[rows], scan.reactions.moment[rows])
+        found, exact = (contacts(model, wrenches) for model in (rod, Elastica()))
         errors = [abs(a - b).max() for a, b in zip(found[:5], exact[:5], strict=True)]
         worst.append([float(errors[0]), float(errors[2])])
         assert errors[1] < 1e-15
@@ -76,17 +79,23 @@ def test_line_energy_and_curvature_are_those_of_the_closed_form(scan: vb.Scan) -
     force = np.linalg.norm(scan.reactions.force[at])
     clamp = ORIGIN._replace(point=jnp.asarray(scan.trail.position[at]))
     rod = rod_of(uniform, None, 32)
-    bent = jax.jit(lambda *state: rod.bent(clamp, *state))(
-        jnp.asarray(scan.point[at]), force, jnp.asarray(scan.normal[at])
-    )
     share = np.linspace(0, 1, 7)
+
+    @quickly
+    def told(*state: jax.Array) -> tuple[jax.Array, ...]:
+        bent = rod.bent(clamp, *state)
+        return (
+            rod.points(bent, share), rod.energy(bent), rod.tangent(bent), rod.largest_curvature(bent)
+        )  # fmt: skip
+
+    points, energy, tangent, curvature = told(scan.point[at], force, scan.normal[at])
     nearest = scan.elastic_line(at, 4001)
     exact = nearest[np.rint(4000 * (1 - share) * scan.arc_length[at]).astype(int)]
-    np.testing.assert_allclose(rod.points(bent, share), exact, atol=2e-4)
-    np.testing.assert_allclose(rod.points(bent, share)[0], scan.point[at], atol=1e-11)
-    np.testing.assert_allclose(rod.energy(bent), scan.energy[at], atol=1e-11)
-    np.testing.assert_allclose(rod.tangent(bent), scan.contact_tangent[at], atol=1e-9)
-    np.testing.assert_allclose(rod.largest_curvature(bent), scan.largest_curvature[at], rtol=1e-3)
+    np.testing.assert_allclose(points, exact, atol=2e-4)
+    np.testing.assert_allclose(points[0], scan.point[at], atol=1e-11)
+    np.testing.assert_allclose(energy, scan.energy[at], atol=1e-11)
+    np.testing.assert_allclose(tangent, scan.contact_tangent[at], atol=1e-9)
+    np.testing.assert_allclose(curvature, scan.largest_curvature[at], rtol=1e-3)
 
 
 @pytest.mark.slow
@@ -162,7 +171,7 @@ def test_rods_of_varying_section_and_rest_shape_are_those_of_an_independent_inte
     """At random wrenches that a contact on the rod makes."""
     stiffness, rest = CURVED[name]
     rod = rod_of(stiffness, lambda s: jnp.asarray(rest(s)), 32)
-    contact = jax.jit(lambda *wrench: rod.contact(*wrench))  # noqa: PLW0108 (no hash)
+    contact = quickly(lambda *wrench: rod.contact(*wrench))  # noqa: PLW0108 (no hash)
     random, count = np.random.default_rng(7), 0
     for _ in range(4):
         push = random.normal(size=3) * 0.5
@@ -193,12 +202,12 @@ def test_steps_graded_as_the_radius_resolve_a_thin_tip() -> None:
         line = fine.line(ORIGIN, Push(push, jnp.cross(at, push)))
         return (line.reach[-1] - at,) * 2
 
-    newton, tip = jax.jit(jax.jacfwd(end, has_aux=True)), AXIS
+    newton, tip = quickly(jax.jacfwd(end, has_aux=True)), AXIS
     for _ in range(12):
         slopes, gap = newton(tip)
         tip = tip - jnp.linalg.solve(slopes, gap)
     assert abs(gap).max() < 1e-13 and tip[2] < 0.999
-    found = jax.jit(lambda wrench: rod.contact(wrench[0], wrench[1], ORIGIN))(
+    found = quickly(lambda wrench: rod.contact(wrench[0], wrench[1], ORIGIN))(
         jnp.stack([-push, -jnp.cross(tip, push)])
     )
     np.testing.assert_allclose(found.reach, tip, atol=1e-8)
@@ -234,7 +243,7 @@ def test_steps_without_length_change_nothing(rod: vb.Rod, reach: float) -> None:
         thin = model.slimmer(found.arc_length)
         return found.misses, found.arc_length, tip.reach[-1], model.tangent(found), thin
 
-    for ours, theirs in zip(*map(jax.jit(bent), (whole, alone)), strict=True):
+    for ours, theirs in zip(*map(quickly(bent), (whole, alone)), strict=True):
         np.testing.assert_allclose(ours, theirs, atol=1e-14)
 
 
@@ -249,7 +258,7 @@ def test_a_hanging_rod_changes_with_its_weight_as_its_derivatives_say() -> None:
         free = spatial(rod, nodes=nodes).free(ORIGIN)
         return jnp.concatenate([free.reactions, free.at(0.5)[0], free.energy[None]])
 
-    @jax.jit
+    @quickly
     def told(gravity: jax.Array) -> tuple[jax.Array, jax.Array]:
         return jax.jvp(hanging, (gravity,), (way,))
 

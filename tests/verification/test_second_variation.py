@@ -16,6 +16,7 @@ No chain is let go: a stable state can have a barrier about it that is lower tha
 0.003 EI/L.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -27,6 +28,7 @@ from scipy.linalg import eigh
 
 import vibrissa as vb
 from vibrissa.forward.equilibria import Equilibrium
+from vibrissa.numerics.compiled import compiled
 
 SEGMENTS, PLACES = 80, (0.6, 0.0)
 
@@ -77,7 +79,7 @@ def parts(
     )
 
 
-@jax.jit
+@partial(compiled, quick=True)
 def linearised(y: Array, *shape: Array) -> tuple[Array, Array]:
     """Gradient of U − λ c by y = (q, λ), and its Hessian."""
 

@@ -12,11 +12,9 @@ from scipy.spatial.transform import Rotation
 from vibrissa.calibration.form import Form, Shape, adjusted, shape_of
 from vibrissa.geometry.rotation import rotation_matrices, turning_axis_to
 from vibrissa.mechanics.elastica import Elastica
-from vibrissa.mechanics.kirchhoff import Kirchhoff
 from vibrissa.mechanics.model import RodModel
 from vibrissa.mechanics.models import spatial
 from vibrissa.numerics.compiled import compiled
-from vibrissa.numerics.lanes import WIDTH
 from vibrissa.numerics.rotation import rotation_matrix
 from vibrissa.rod import Rod
 from vibrissa.sensor import Sensor
@@ -124,11 +122,6 @@ class Bench(NamedTuple):
             return Elastica()
         rod = replace(self.form.rod, length=self.length, bending_stiffness=self.stiffness)
         return spatial(self.shape.applied(rod), nodes=self.form.nodes)
-
-    @property
-    def walk_width(self) -> int:
-        """How many rows side by side are worth it, as in `vibrissa.numerics.lanes`."""
-        return WIDTH if self.form is None else Kirchhoff.walk_width
 
     @property
     def loaded(self) -> bool:

@@ -21,7 +21,7 @@ from vibrissa.inverse.arrays import Flag, Scalar, Wrench
 from vibrissa.inverse.kernels import Errors, Found, Sample, Setting
 from vibrissa.inverse.shared import samples_of, setting_of
 from vibrissa.inverse.smoothing.manifold import ARC_LENGTH, AT_REST, TILT, Linear, chosen, linear_at
-from vibrissa.numerics.lanes import lanes
+from vibrissa.numerics.lanes import FEW, lanes
 from vibrissa.numerics.linear import cholesky, solve_lower
 from vibrissa.numerics.rotation import rotation_matrix
 from vibrissa.numerics.vectors import joined
@@ -131,7 +131,7 @@ def found_by_channels(
     )
 
 
-@lanes()
+@lanes(alone=FEW)
 def _solved(problem: Problem, sample: Sample) -> Branch:
     """Levenberg–Marquardt on the selected channels and one law, without tilt."""
     setting, selected = problem.setting, jnp.asarray(problem.selected)

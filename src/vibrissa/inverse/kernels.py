@@ -309,7 +309,7 @@ def weak_contacts(setting: Setting, sample: Sample, likely: Likely) -> Errors:
     return Errors(of_reach * setting.length**2, of_direction)
 
 
-@lanes(by_call=True, walks=True)
+@lanes(alone=FEW, by_call=True, walks=True)
 def sensitivities_of(setting: Setting, sample: Sample) -> Observed:
     """Derivatives of a contact with respect to `vibrissa.tolerances.PARAMETERS`, for given
     readings.

@@ -63,7 +63,7 @@ def _at_rest(rod: RodModel, clamp: Clamp) -> Resting:
     return Resting(-free.reactions, jnp.asarray(free.sound))
 
 
-@lanes()
+@lanes(alone=FEW)
 def _free_rods(rod: RodModel, clamp: Clamp, resting: Resting) -> FreeRod:
     free = rod.free(clamp, resting)
     tip, *_ = free.at(jnp.ones(()))

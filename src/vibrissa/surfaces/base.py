@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from vibrissa.geometry.checks import finite_array
 from vibrissa.geometry.rotation import Orientation, rotation_matrices, unit_quaternions
-from vibrissa.numerics.lanes import lanes
+from vibrissa.numerics.lanes import FEW, lanes
 from vibrissa.numerics.vectors import dot
 from vibrissa.surfaces import closest
 
@@ -163,12 +163,12 @@ def _smaller(first: Scalar, second: Scalar) -> Scalar:
     return jnp.where(second < first, second, first)
 
 
-@lanes()
+@lanes(alone=FEW)
 def _values(function: Function, point: Point) -> Scalar:
     return function(point)
 
 
-@lanes()
+@lanes(alone=FEW)
 def _values_and_slopes(function: Function, point: Point) -> tuple[Scalar, Float[Array, "3"]]:
     return jax.value_and_grad(function)(point)
 

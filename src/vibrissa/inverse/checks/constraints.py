@@ -22,7 +22,6 @@ from vibrissa.inverse.kernels import explaining
 from vibrissa.inverse.shared import STEEPEST
 from vibrissa.mechanics.elastica import Elastica
 from vibrissa.mechanics.imperfect import Imperfect, contact_near, rod_end
-from vibrissa.mechanics.kirchhoff import Kirchhoff
 from vibrissa.mechanics.model import AT_ORIGIN
 from vibrissa.mechanics.models import spatial
 from vibrissa.numerics.lanes import AnyArray, lanes
@@ -30,8 +29,10 @@ from vibrissa.rod import Rod
 
 COUPLE, TORSION, TIP, TANGENT = range(4)
 """Rows of the constraints."""
-_WIDTH = 96
-"""Stretches side by side: more than most sweeps have."""
+_AT_ONCE = 96
+"""Stretches in one call, one after another: more than most sweeps have. Side by side they are
+faster, but their code takes twice as long to compile.
+"""
 _OFF = 0.05
 """How far [L] from the tip, or from the line of the force, noise and a rod that is not quite as
 described may put a contact.
@@ -47,11 +48,6 @@ class Stated(NamedTuple):
     """None for a straight uniform one."""
     leaning: Any = np.inf
     """Largest cosine between force and rod before the tip."""
-
-    @property
-    def walk_width(self) -> int:
-        """How many of them side by side are worth it, as in `vibrissa.numerics.lanes`."""
-        return _WIDTH if self.rod is None else Kirchhoff.walk_width
 
 
 class Slopes(NamedTuple):
@@ -93,7 +89,7 @@ def holding(tip: Flags) -> Bool[np.ndarray, "n 4"]:
     return np.stack([both, both, tip, ~tip], axis=1)
 
 
-@lanes(width=_WIDTH, blocks=1, walks=True)
+@lanes(width=1, blocks=_AT_ONCE)
 def constraints_of(stated: Stated, rod: Imperfect) -> Constraints:
     """Constraints for rods given by their base wrenches, clamp axes."""
     wrench, (length, described, leaning) = jnp.asarray(rod.wrench), stated

@@ -231,6 +231,24 @@ def test_rows_without_a_sound_contact_are_left_out():
     assert not shape.outlier[~used].any()
 
 
+def test_contacts_that_know_nothing_of_their_normals_say_nothing():
+    """A rod that hardly touches: contacts tens of millimetres off, as their covariances say."""
+    given = rings(ELLIPSOID, np.random.default_rng(3), sweeps=6)
+    far = np.linspace([0.03, 0, 0], [0.07, 0.01, 0], 30)
+    along = far[-1] - far[0]
+    lost = vb.Contacts(
+        far, np.tile([0.0, 0, 1], (30, 1)),
+        np.tile(0.25 * np.outer(along, along), (30, 1, 1)) + 1e-12 * np.eye(3),
+        np.tile(1.5**2 / 2 * np.diag([1.0, 1, 0]), (30, 1, 1)),
+    )  # fmt: skip
+    plain, shape = fitted("ellipsoid", sweeps=6), vb.fit_shape([given, lost])
+    points = samples(ELLIPSOID, 50)
+    np.testing.assert_allclose(shape.distance(points), plain.distance(points), atol=1e-9)
+    assert not shape.outlier.any() and not shape.warnings
+    with pytest.raises(ValueError, match="0 of 30 rows hold a contact with status OK and a known"):
+        vb.fit_shape(lost)
+
+
 def test_a_sweep_that_contradicts_the_others_is_named():
     given = rings(ELLIPSOID, np.random.default_rng(10))
     moved = np.where((given.sweep == 7)[:, None], [0, 0, 0.4e-3], 0) + given.point

@@ -189,7 +189,7 @@ def test_files_of_contacts_become_a_mesh_and_a_figure(contacts, tmp_path, capsys
         ("x,y,z\n1,2,3\n", "nx"),
         (
             "x,y,z,nx,ny,nz,arc_length,kind,status\n0,0,0,0,0,1,0.04,1,0\n",
-            "1 of 1 rows hold a contact with status OK; allowed are at least 3",
+            "1 of 1 rows hold a contact with status OK and a known normal; allowed are at least 3",
         ),
     ],
 )

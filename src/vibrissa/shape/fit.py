@@ -80,8 +80,9 @@ def fit_shape(
     ----------
     contacts
         Of one sweep or several, as one object whose `sweep` tells them apart, or one for each;
-        best `vibrissa.smooth(found).contacts`. Only rows with a contact, and with status OK where
-        a status is given, are used. Sensors may differ: each contact counts by its covariance.
+        best `vibrissa.smooth(found).contacts`. Only rows with a contact, with status OK where a
+        status is given, and a normal known to 1 rad are used. Sensors may differ: each contact
+        counts by its covariance.
     swept
         Elastic lines (k, m, 3), or several such arrays: rods whose every point was outside the
         object, as `Reconstruction.elastic_lines` gives them for rows without contact.

@@ -26,6 +26,10 @@ _ALIKE = 2.0
 """What errors of smoothed contacts are alike over, in that distance."""
 _WIDEST = 1 / 30
 """Distance beyond which contacts of one sweep are not pooled, but those of several are."""
+_LOST = 1.0
+"""Error of a normal [rad] from which on a contact says nothing: errors are taken as linear, and the
+contacts of a rod that hardly touches, tens of millimetres off, would still pull as hard.
+"""
 _POINT, _NORMAL = 2e-3, 0.01
 """Standard deviations assumed where none are given: of points, relative to the extent, and of
 normals [rad]. Only their order of magnitude counts: the fit estimates a factor for them.
@@ -142,7 +146,7 @@ def gathered(contacts: Contacts | Sequence[Contacts]) -> Gathered:
     columns = [_columns(part, use, step) for part, use in zip(parts, sound, strict=True)]
     rows = np.concatenate([column[0] for column in columns] or [np.zeros(0, dtype=bool)])
     if rows.sum() < LEAST:
-        given = f"{rows.sum()} of {len(rows)} rows hold a contact with status OK"
+        given = f"{rows.sum()} of {len(rows)} rows hold a contact with status OK and a known normal"
         raise ValueError(f"contacts: {given}; allowed are at least {LEAST}")
     point, normal = (np.concatenate([column[i] for column in columns]) for i in (1, 2))
     extent = float(np.linalg.norm(np.ptp(point, axis=0)))
@@ -171,6 +175,8 @@ def _sound(part: Contacts) -> Bool[np.ndarray, "n"]:
     for spread in (part.covariance, part.normal_covariance):
         if spread is not None:
             use &= np.isfinite(spread).all(axis=(-2, -1)).reshape(-1)
+    if part.normal_covariance is not None:
+        use &= np.einsum("nii->n", part.normal_covariance.reshape(-1, 3, 3)) < _LOST**2
     return use
 
 

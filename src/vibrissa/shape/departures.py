@@ -6,7 +6,8 @@ import numpy as np
 from jaxtyping import Float
 
 _FROM = 300
-"""Places that are looked from; more change nothing."""
+"""Places that are looked from; all of them change departures by 4 % at most (torus, blob, block).
+"""
 _EDGES = np.geomspace(0.05, 0.8, 9)
 """Limits of the distances within which departures are averaged, relative to the extent: nearer,
 surfaces are touched; further, they have turned away.

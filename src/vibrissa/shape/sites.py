@@ -154,10 +154,11 @@ def gathered(contacts: Contacts | Sequence[Contacts]) -> Gathered:
         raise ValueError("contacts: all lie in one place; allowed are contacts that are apart")
     joint = [_joint(part, column[0], extent) for part, column in zip(parts, columns, strict=True)]
     sweeps, first = [], 0
-    for column in columns:
-        numbers = np.unique(column[3], return_inverse=True)[1]
-        sweeps.append(numbers + first)
-        first += int(numbers.max(initial=-1)) + 1
+    for part, column in zip(parts, columns, strict=True):
+        # Sweeps without a contact count too, so that a word about one names the right one.
+        values = np.unique(_sweep_of(part))
+        sweeps.append(np.searchsorted(values, column[3]) + first)
+        first += max(len(values), 1)
     known = all(part.covariance is not None for part in parts)
     order = np.arange(len(point), dtype=float)
     sweep = np.concatenate(sweeps)
@@ -187,8 +188,14 @@ def _columns(part: Contacts, sound: Bool[np.ndarray, "n"], step: int) -> tuple[n
     use = np.zeros_like(sound)
     use[np.flatnonzero(sound)[::step]] = True
     point, normal = part.point.reshape(-1, 3), part.normal.reshape(-1, 3)
-    sweep = np.zeros(len(point), dtype=int) if part.sweep is None else part.sweep.reshape(-1)
-    return use, point[use], normal[use], sweep[use]
+    return use, point[use], normal[use], _sweep_of(part)[use]
+
+
+def _sweep_of(part: Contacts) -> Int[np.ndarray, "n"]:
+    """The sweep of each row."""
+    if part.sweep is None:
+        return np.zeros(part.point.size // 3, dtype=np.int64)
+    return part.sweep.reshape(-1)
 
 
 def _joint(part: Contacts, use: np.ndarray, extent: float) -> Float[np.ndarray, "n 6 6"]:

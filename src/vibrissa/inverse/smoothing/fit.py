@@ -49,8 +49,10 @@ ones are down-weighted.
 """
 _START = np.array([1.0, 1.0, 0.01, 1e-6, 1e-3])
 """Intensities of a contact that crosses its range in a few seconds."""
-_ROUGH_STEPS, MOST_STEPS = 5, 12
-"""Gauss-Newton steps: four usually suffice for `_ROUGHLY`, six for `_CLOSE`."""
+_ROUGH_STEPS, MOST_STEPS = 8, 12
+"""Gauss-Newton steps: four usually suffice for `_ROUGHLY`, six for `_CLOSE`. With five rough ones,
+phases of a contact on a torus were judged before it had settled, and were wrong.
+"""
 _FLANK_STEPS = 3
 _NEAR = 1
 """Steps after which the intensities are estimated."""
@@ -110,18 +112,26 @@ def first_guess(
 
 
 def fitted(fit: Fit, *, local: bool = True, most_steps: int = _ROUGH_STEPS) -> Fit:
-    """Gauss-Newton with robust weights; the intensities are estimated once it is close."""
+    """Gauss-Newton with robust weights; the intensities are estimated once it is close.
+
+    Steps that turn back are halved: where a rod is hardly loaded, its force may turn far, and full
+    steps went to and fro, ever farther, until the samples counted as outliers.
+    """
     close, rough = _CLOSE if most_steps > _ROUGH_STEPS else _ROUGHLY, True
+    rate, before = 1.0, np.zeros_like(fit.linear.x)
     for iteration in range(most_steps):
         if iteration == _NEAR:
             fit = most_probable(fit, local=local)
-        rough = rough and iteration < most_steps - 1
+        if rough and iteration == _ROUGH_STEPS - 1:
+            rough, rate, before = False, 1.0, np.zeros_like(before)
         fit = fit._replace(states=smoothed_states(fit, steps_of(fit), rough=rough))
-        new = _coordinates(fit.states)
-        change = float(np.abs(new - fit.linear.x).max())
+        step = _coordinates(fit.states) - fit.linear.x
+        change = float(np.abs(step).max())
         if not np.isfinite(change):
             raise NoMotionError
-        fit = _stepped(fit, new)
+        rate = rate / 2 if np.sum(step * before) < 0 else min(2 * rate, 1.0)
+        before = step
+        fit = _stepped(fit, fit.linear.x + rate * step)
         fit = fit._replace(weight=_robust(squared_residuals(fit)))
         if change < close and not rough:
             break

@@ -65,6 +65,13 @@ def test_what_is_known_already_comes_last(ranked):
     assert np.array_equal(ranked.best.position, CANDIDATES.position[ranked.order[0]])
 
 
+def test_two_ends_are_a_sweep(known, ranked):
+    ends = vb.Trail(CANDIDATES.position[:, [0, -1]], CANDIDATES.orientation[:, [0, -1]])
+    found = vb.next_sweep(vb.fit_shape(known), WIRE, ends)
+    assert found.order[0] == ranked.order[0]
+    assert np.allclose(found.gain, ranked.gain, rtol=0.1, atol=0.02 * ranked.unknown)
+
+
 def test_gain_is_what_the_sweep_then_takes_away(known, ranked):
     places = on_surface(OBJECT, 0.02 * np.random.default_rng(1).normal(size=(500, 3)))
     before = vb.fit_shape(known).deviation(places).mean()

@@ -32,7 +32,7 @@ from vibrissa.shape.shape import Shape
 from vibrissa.shape.sites import spread_out
 from vibrissa.shape.stated import Stated
 from vibrissa.surfaces import Lattice
-from vibrissa.trail import Trail
+from vibrissa.trail import Trail, between
 
 _NODES = 20
 """Nodes along each axis of the surface that is scanned: 3 mm on an object of 60 mm."""
@@ -128,7 +128,8 @@ def next_sweep(
     rod
         The rod that will be swept, in the shape's units.
     candidates
-        Trails that the arm can drive (m, n, …), or a list of single ones of equal length.
+        Trails that the arm can drive (m, n, …), or a list of single ones of equal length; their
+        ends are enough if it drives straight from one to the other.
     tolerance
         Distance within which the surface is to be known. With it, a sweep counts by the share of
         the surface that it makes known to that, otherwise by the mean standard deviation.
@@ -153,8 +154,9 @@ def next_sweep(
     planned = _Planned.of(shape)
     where = planned.places if places is None else finite_array(places, "places", last=3, ndim=2)
     gains = _Gains.of(shape, where, within)
-    rows = np.unique(np.linspace(0, trails.count - 1, _POSITIONS).round().astype(int))
-    few = Trail(trails.position[:, rows], trails.orientation[:, rows])
+    number = np.arange(trails.count, dtype=np.float64)
+    rows = np.linspace(0, trails.count - 1, _POSITIONS)
+    few = Trail.stack([between(number, trails[each], rows) for each in range(trails.shape[0])])
     status = np.where(planned.inside(shape, few, keep), Status.CLAMP_INSIDE, Status.OK)
     contacts, likely = planned.straight(shape, rod, few)
     gain = np.where(status == Status.OK, likely * gains.expected(contacts, 1), 0.0)

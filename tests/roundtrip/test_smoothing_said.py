@@ -236,3 +236,22 @@ def test_the_side_of_a_rod_along_a_face_is_not_taken_for_its_tip():
     along = np.einsum("ni,nij,nj->n", normal, found.covariance[touching], normal)
     assert np.median(np.abs(off)) < 0.2e-3
     assert np.mean(np.abs(off) < 1.96 * np.sqrt(along)) > 0.85
+
+
+def test_contacts_along_and_over_an_edge_are_smoothed_whatever_the_noise():
+    """A wire that slides along the rounded edge of a block, over it and off, and whose first
+    samples are hardly loaded.
+    """
+    block = vb.surfaces.Offset(
+        vb.surfaces.Box(center=(0, 0, 0), half_extents=(0.019, 0.014, 0.011)), 0.003
+    )
+    ends = np.array([[0.05, -0.01, 0.04], [0.05, -0.01, -0.04]])
+    half = np.sqrt(0.5)
+    trail = vb.Trail(ends, np.tile([0, -half, 0, half], (2, 1)))
+    for seed in range(8):
+        arm = vb.SimulatedArm(WIRE, block, SENSOR, rate=50.0, rng=np.random.default_rng(seed))
+        found = arm(trail)
+        touching = found.in_contact
+        assert touching.sum() > 100
+        assert (found.status[touching] == vb.Status.OK).all(), seed
+        assert np.abs(block.distances(found.point[touching])).max() < 0.5e-3, seed

@@ -20,7 +20,7 @@ from vibrissa.geometry.checks import positive
 from vibrissa.shape.departures import Departures
 from vibrissa.shape.kernel import JET, Coordinates
 from vibrissa.shape.level import Level, places_of
-from vibrissa.shape.noise import Noise, reach_of
+from vibrissa.shape.noise import Noise, lifted, reach_of
 from vibrissa.shape.outliers import (
     agree_with_neighbours,
     doubtful,
@@ -44,7 +44,7 @@ from vibrissa.shape.sites import (
 )
 from vibrissa.shape.swept import emptied, swept_points
 
-_FIRST, _CARRIERS, _TRIED = 300, 400, 120
+_FIRST, _CARRIERS, _TRIED = 300, 400, 200
 """Sites of the first surface, sites that carry unknowns of the second, and those of which the
 evidence is taken. Twice as many carriers change distances by 0.03 to 0.15 of their deviations
 (median; torus, blob, block).
@@ -188,7 +188,8 @@ class Fitting:
 
     def target(self, ball: Ball) -> Float[np.ndarray, "n 4"]:
         """What the level's value and gradient should be, less the mean's."""
-        wanted = np.column_stack([np.zeros(len(self.weight)), self.sites.normal])
+        lift = lifted(self.sites.covariance, self.curvature)
+        wanted = np.column_stack([lift, self.sites.normal])
         return wanted - ball.at(self.sites.point)
 
     def residual(self, level: Level) -> Float[np.ndarray, "n 4"]:
@@ -245,6 +246,7 @@ def _second(
     level, data = _surface(fit, ball, folds, _CARRIERS)
     fit = fit.judged(level, data.open, alike=True)
     fit = replace(fit, curvature=level.curvature(fit.sites.point))
+    data = data._replace(target=fit.target(ball))
     return level.knowing(posterior(level.found.basis, data, fit.noise())), data, fit
 
 

@@ -9,7 +9,7 @@ from scipy.spatial import KDTree
 
 from vibrissa.shape.kernel import JET
 from vibrissa.shape.level import Level
-from vibrissa.shape.noise import Noise
+from vibrissa.shape.noise import Noise, lifted
 from vibrissa.shape.posterior import LeftOut
 from vibrissa.shape.sites import Gathered, Sites
 
@@ -83,7 +83,8 @@ def _squares(
     """Squared residuals of some contacts in their errors, as if the surface were sure or not."""
     point = given.point[rows]
     jets, bent = level.jets(point), curvature(point)
-    residual = np.column_stack([-jets[:, 0], given.normal[rows] - jets[:, 1:]])
+    lift = lifted(given.covariance[rows], bent)
+    residual = np.column_stack([lift - jets[:, 0], given.normal[rows] - jets[:, 1:]])
     own = Noise.errors(given.normal[rows], given.covariance[rows], bent, given.extent)
     own += np.diag([(_OFF * given.extent) ** 2, *[_TILTED**2] * 3])
     if not sure:

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
-from vibrissa.shape.noise import Noise, columns_of
+from vibrissa.shape.noise import Noise, columns_of, lifted
 from vibrissa.shape.sites import Gathered, deviations, single
 from vibrissa.surfaces import Surface
 
@@ -129,7 +129,8 @@ def equations_of(told: Told, given: Gathered, poses: Poses) -> Equations:
     curvature = (turn @ limited @ np.swapaxes(turn, 2, 3)).reshape(-1, 3, 3)
     point, normal = np.tile(given.point, (count, 1)), np.tile(given.normal, (count, 1))
     covariance = np.tile(given.covariance, (count, 1, 1))
-    residual = np.column_stack([given.above - told.distance.ravel(), normal - outward])
+    front = given.above + lifted(covariance, curvature)
+    residual = np.column_stack([front - told.distance.ravel(), normal - outward])
     # Turned by ω about the middle and moved by v, the object passes a contact by ω × a + v, with a
     # from the middle to the contact; ω × a = −[a] ω.
     arm = crossed(point - middle)

@@ -47,7 +47,8 @@ from vibrissa.shape.swept import emptied, swept_points
 _FIRST, _CARRIERS, _TRIED = 300, 400, 200
 """Sites of the first surface, sites that carry unknowns of the second, and those of which the
 evidence is taken. Twice as many carriers change distances by 0.03 to 0.15 of their deviations
-(median; torus, blob, block).
+(median; torus, blob, block). Evidence of 120 contacts gave directions on a block a weight of 3.5
+mm, that of 160 to 300 one of 12 to 15 mm, whose surface is a quarter better.
 """
 _ROUNDS = 3
 """Of the first surface: one without curvatures, one with them and new scales, one more with new

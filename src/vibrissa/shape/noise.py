@@ -30,11 +30,11 @@ _FLOOR = 1e-7, 1e-3
 """Least deviations of a value, relative to the extent, and of a gradient: kernel matrices of exact
 contacts stay invertible.
 """
-_DOUBT = 0.5
+_DOUBT = 1.5
 """What starts and ends of sweeps add to the factor of deviations, relative to those between. There
 the smoother knows least of the phase, and rows whose squared residual is above 16 are six to ten
-times as many (block, torus). Thrice as much made surfaces through 600 contacts of the block a
-quarter worse.
+times as many (block, torus). With 0.5, surfaces of a ball from unsmoothed contacts were up to twice
+as far off.
 """
 _MOST = 150
 """Contacts of a sweep whose correlation is kept: their matrices have four rows each."""

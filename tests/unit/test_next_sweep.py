@@ -9,15 +9,17 @@ import pytest
 from scipy.linalg import block_diag
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
-from touched import NORMAL, POINT, joined, on_surface
+from touched import NORMAL, POINT, joined, on_surface, rings
 
 import vibrissa as vb
 from vibrissa.shape.kernel import covariance
-from vibrissa.shape.plan import _Gains
+from vibrissa.shape.plan import _Gains, _Planned
+from vibrissa.shape.stated import Stated
 
 WIRE = vb.Rod.cylinder(length=0.05, radius=0.25e-3, youngs_modulus=206e9)
 OBJECT = vb.surfaces.Ellipsoid(center=(0, 0, 0), semi_axes=(0.026, 0.021, 0.017))
 COUNT = 60
+IDENTITY = Rotation.identity().as_quat()
 
 
 def stand(turn: Rotation, offset: float) -> vb.Trail:
@@ -86,8 +88,7 @@ def test_gain_is_what_the_sweep_then_takes_away(known, ranked):
     assert np.allclose(told, true, atol=0.35)
 
 
-@pytest.mark.parametrize("jets", [1, 4], ids=["points", "points and normals"])
-def test_what_contacts_take_away_is_that_of_plain_conditioning(known, jets):
+def test_what_contacts_take_away_is_that_of_plain_conditioning(known):
     shape = vb.fit_shape(known)
     found, rng = shape.level.found, np.random.default_rng(3)
     assert len(found.basis.sites.value) == len(shape.sites.point)
@@ -100,16 +101,32 @@ def test_what_contacts_take_away_is_that_of_plain_conditioning(known, jets):
     precision = found.root @ found.root.T
     of_sites = found.basis.root @ np.linalg.solve(precision, found.basis.root.T)
     given = prior + weights @ (of_sites - among) @ weights.T
-    told = 4 * np.arange(30, 36)[:, None] + np.arange(jets)
-    seen = given[np.ix_(told.ravel(), told.ravel())]
-    seen += block_diag(*gains._errors(new)[:, :jets, :jets])
-    values = 4 * np.arange(30)
-    cross = given[np.ix_(values, told.ravel())]
+    told, values = np.arange(4 * 30, 4 * 36), 4 * np.arange(30)
+    seen = given[np.ix_(told, told)] + block_diag(*gains._errors(new))
+    cross = given[np.ix_(values, told)]
     left = np.diag(given)[values] - np.sum(cross * np.linalg.solve(seen, cross.T).T, axis=1)
-    away = np.minimum(*(KDTree(those).query(places)[0] for those in (shape.sites.point, new)))
-    wanted = gains.unknown - gains.stated.deviations(np.maximum(left, 0), away).mean()
-    assert gains.expected([new], jets)[0] == pytest.approx(wanted, rel=1e-4)
+    contacts = np.concatenate([shape.sites.point, new])
+    away = KDTree(contacts).query(places)[0]
+    aside = Stated.at(shape.level, places, contacts, shape.extent).aside
+    stated = gains.stated._replace(aside=np.minimum(gains.stated.aside, aside))
+    assert stated.aside.mean() < gains.stated.aside.mean()
+    wanted = gains.unknown - stated.deviations(np.maximum(left, 0), away).mean()
+    assert gains.expected([new])[0] == pytest.approx(wanted, rel=1e-4)
     assert gains.unknown == pytest.approx(shape.deviation(places).mean(), rel=1e-6)
+
+
+def test_a_rod_that_is_driven_deep_is_expected_where_it_enters():
+    """Across the end of a block, 24 mm deep: what is deepest inside is nearer to its sides."""
+    block = vb.surfaces.Offset(
+        vb.surfaces.Box(center=(0, 0, 0), half_extents=(0.010, 0.008, 0.018)), 0.003
+    )
+    shape = vb.fit_shape(rings(block, np.random.default_rng(1), sweeps=9))
+    trail = vb.Trail(
+        stand(Rotation.identity(), 0.002).position[None], np.tile(IDENTITY, (1, 60, 1))
+    )
+    (points,), _ = _Planned.of(shape).straight(shape, WIRE, trail)
+    assert np.mean(points[:, 2] < -0.017) == pytest.approx(0.5, abs=0.15)
+    assert np.median(np.abs(block.distances(points))) < 0.5e-3
 
 
 def test_contacts_are_expected_where_they_will_be(ranked):

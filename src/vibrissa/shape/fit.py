@@ -5,7 +5,9 @@
 3. The surface itself: its covariance tells the two sides of an edge apart by the first surface's
    directions (`prior.Folds`), its scales come from the evidence, outliers lose their weight, and
    errors are correlated along a sweep as much as residuals are (`noise`).
-4. Rods that passed through empty space push it back to where they were not (`swept`).
+4. Two surfaces, each through half of the sweeps, tell how far deviations can be believed
+   (`halves`).
+5. Rods that passed through empty space push it back to where they were not (`swept`).
 """
 
 from collections.abc import Sequence
@@ -18,6 +20,7 @@ from scipy.special import ndtri
 from vibrissa.contacts import Contacts
 from vibrissa.geometry.checks import positive
 from vibrissa.shape.departures import Departures
+from vibrissa.shape.halves import agreement
 from vibrissa.shape.kernel import JET, Coordinates
 from vibrissa.shape.level import Level, places_of
 from vibrissa.shape.noise import Noise, lifted, reach_of
@@ -130,7 +133,8 @@ def fit_shape(
     others = left_out(level.found, data, noise)
     findings = findings_of(others, noise, sites, given.extent)
     departures = Departures.of(sites.point, level.jets(sites.point), fit.curvature, given.extent)
-    level = level._replace(doubt=_excess(others, 0.95), departures=departures)
+    believed = agreement(level.found.basis, data, noise, sites, len(np.unique(given.sweep)))
+    level = level._replace(doubt=believed * _excess(others, 0.95), departures=departures)
     if lines is not None:
         places = level.places(sites.point)
         level, refuted = emptied(level, places, data.target, noise, lines, given.extent)

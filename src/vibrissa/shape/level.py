@@ -25,8 +25,8 @@ _STEPS, _SETTLED = 30, 1e-5
 
 
 class Level(NamedTuple):
-    """Mean level of the ball, coordinates, and what the contacts say besides; the factor by which
-    deviations are too small, as sweeps that are left out show; and how far the surface departs from
+    """Mean level of the ball, coordinates, and what the contacts say besides; the factor of
+    deviations that surfaces through half of the sweeps tell; and how far the surface departs from
     where its curvatures lead.
     """
 

@@ -63,7 +63,7 @@ class Noise(NamedTuple):
         doubt: float = _DOUBT,
     ) -> "Noise":
         """Errors, where surfaces are curved so and single contacts count less than fully."""
-        scale = _ends(sites, reach, doubt) ** 2 / weight
+        scale = _ends(sites, reach, doubt) ** 2 * sites.alike / weight
         root = np.sqrt(scale)[:, None, None]
         factor, alone = _errors(sites.normal, sites.covariance, curvature, extent)
         groups = _chunks(sites)

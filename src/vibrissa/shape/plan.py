@@ -2,8 +2,8 @@
 
 The surface is a Gaussian process, so that what contacts will leave open depends on where they will
 be, not on what they will say. Where they will be, the forward model tells on the present surface.
-All candidates are compared by a rod that stays straight and touches where it is deepest inside; the
-best of them are scanned.
+All candidates are compared by a rod that stays straight and touches where it enters the object and
+where it is deepest inside; the best of them are scanned.
 """
 
 from __future__ import annotations
@@ -40,10 +40,12 @@ _PLACES = 400
 """Places of the surface whose uncertainty counts."""
 _POSITIONS, _ALONG = 16, 16
 """Clamp positions of a candidate, and points along a straight rod."""
-_MODELLED = 8
+_MODELLED = 12
 """Candidates that are scanned at a time."""
-_CONTACTS = 10
+_CONTACTS = 8
 """Contacts of a sweep that are expected to say something: neighbours say the same."""
+_KEPT = 300
+"""Contacts so far between which places are."""
 _RISK = 0.05
 """Probability of the clamp being inside the object that is not taken."""
 
@@ -159,7 +161,7 @@ def next_sweep(
     few = Trail.stack([between(number, trails[each], rows) for each in range(trails.shape[0])])
     status = np.where(planned.inside(shape, few, keep), Status.CLAMP_INSIDE, Status.OK)
     contacts, likely = planned.straight(shape, rod, few)
-    gain = np.where(status == Status.OK, likely * gains.expected(contacts, 1), 0.0)
+    gain = np.where(status == Status.OK, likely * gains.expected(contacts), 0.0)
     scanned = np.zeros(len(gain), dtype=bool)
     while not np.any(scanned & (status == Status.OK)):
         open_ = np.flatnonzero((status == Status.OK) & ~scanned)
@@ -172,7 +174,7 @@ def next_sweep(
         status[chosen[overstrained]] = Status.OVERSTRAINED
         sound = found.in_contact & (found.status == Status.OK)
         touched = [point[rows] for point, rows in zip(found.point, sound, strict=True)]
-        gain[chosen] = np.where(overstrained, 0.0, gains.expected(touched, JET))
+        gain[chosen] = np.where(overstrained, 0.0, gains.expected(touched))
         for row, points in zip(chosen.tolist(), touched, strict=True):
             contacts[row] = points
     order = np.lexsort((-gain, ~scanned, status != Status.OK))
@@ -213,18 +215,22 @@ class _Planned(NamedTuple):
     def straight(
         self, shape: Shape, rod: Rod, trails: Trail
     ) -> tuple[list[Float[np.ndarray, "_ 3"]], Float[np.ndarray, "m"]]:
-        """For each trail, points of the surface next to where the free rod is deepest inside, and
-        the probability that it is inside anywhere: the surface may lie deeper than its mean.
+        """For each trail, points of the surface where the free rod enters it, and next to where it
+        is deepest inside; and the probability that it is inside anywhere: the surface may lie
+        deeper than its mean. A bent rod glides between the two.
         """
         lines = free_lines(rod, trails, _ALONG).reshape(*trails.shape, _ALONG, 3)
         level = _level(self.surface, lines)
-        deepest = np.argmin(level, axis=2)[..., None]
-        point = np.take_along_axis(lines, deepest[..., None], axis=2)[:, :, 0]
-        depth = -np.take_along_axis(level, deepest, axis=2)[..., 0]
+        deepest, enters = np.argmin(level, axis=2), np.argmax(level <= 0, axis=2)
+        each = np.indices(deepest.shape)
+        depth = -level[(*each, deepest)]
         row = np.arange(len(depth)), np.argmax(depth, axis=1)
-        likely = ndtr(depth[row] / shape.deviation(point[row]))
-        point[depth >= 0] = _onto(self.surface, point[depth >= 0])
-        return [each[rows >= 0] for each, rows in zip(point, depth, strict=True)], likely
+        likely = ndtr(depth[row] / shape.deviation(lines[(*each, deepest)][row]))
+        inside = depth >= 0
+        each, deepest, enters = each[:, inside], deepest[inside], enters[inside]
+        points = np.stack([lines[(*each, deepest)], lines[(*each, enters)]])
+        points = _onto(self.surface, points.reshape(-1, 3)).reshape(points.shape)
+        return [points[:, each[0] == number].reshape(-1, 3) for number in range(len(depth))], likely
 
     def scanned(self, rod: Rod, trails: Trail, rows: Int[np.ndarray, "k"], friction: float) -> Scan:
         """What the forward model finds."""
@@ -285,6 +291,8 @@ class _Gains(NamedTuple):
 
     shape: Shape
     stated: Stated
+    contacts: Float[np.ndarray, "k 3"]
+    """Some of those so far."""
     places: Coordinates
     rows: Float[np.ndarray, "m n"]
     """How values at the places depend on the level's unknowns, before and after the contacts."""
@@ -303,26 +311,25 @@ class _Gains(NamedTuple):
         rows = found.basis.values(places)
         left = solve_triangular(found.root, rows, lower=True, check_finite=False)
         variance = found.basis.kernel.variance + np.sum(left**2 - rows**2, axis=0)
-        away = stated.away(shape.sites.point)
-        return cls(shape, stated, places, rows, left, np.maximum(variance, 0), away, tolerance)
+        away, contacts = stated.away(shape.sites.point), shape.sites.point
+        contacts = contacts[spread_out(contacts, _KEPT)]
+        variance = np.maximum(variance, 0)
+        return cls(shape, stated, contacts, places, rows, left, variance, away, tolerance)
 
     @property
     def unknown(self) -> float:
         """Mean over the places."""
-        return float(self._unknown(self.variance, self.away))
+        return self._unknown(self.stated, self.variance, self.away)
 
-    def _unknown(self, variance: np.ndarray, away: np.ndarray) -> np.floating:
-        deviation = self.stated.deviations(variance, away)
+    def _unknown(self, stated: Stated, variance: np.ndarray, away: np.ndarray) -> float:
+        deviation = stated.deviations(variance, away)
         if self.tolerance is None:
-            return np.mean(deviation)
-        return np.mean(erfc(self.tolerance / (np.sqrt(2) * np.maximum(deviation, 1e-300))))
+            return float(np.mean(deviation))
+        scaled = self.tolerance / (np.sqrt(2) * np.maximum(deviation, 1e-300))
+        return float(np.mean(erfc(scaled)))
 
-    def expected(
-        self, contacts: Sequence[Float[np.ndarray, "_ 3"]], jets: int
-    ) -> Float[np.ndarray, "sweeps"]:
-        """Expected decrease by each sweep with contacts at such points; of their `jets`, the first
-        is the value, the others the gradient.
-        """
+    def expected(self, contacts: Sequence[Float[np.ndarray, "_ 3"]]) -> Float[np.ndarray, "sweeps"]:
+        """Expected decrease by each sweep with contacts at such points."""
         few = [points[:: -(-len(points) // _CONTACTS) or 1] for points in contacts]
         decrease = np.zeros(len(few))
         if not any(map(len, few)):
@@ -330,27 +337,25 @@ class _Gains(NamedTuple):
         points = np.concatenate(few)
         level, found = self.shape.level, self.shape.level.found
         here, kernel = level.places(points), found.basis.kernel
-        rows = found.basis.jets(here) if jets == JET else found.basis.values(here)
+        rows = found.basis.jets(here)
         left = solve_triangular(found.root, rows, lower=True, check_finite=False)
-        told_of = np.arange(JET * len(points)) % JET < jets
-        cross = covariance_of_values(kernel, self.places, here)[:, told_of]
+        cross = covariance_of_values(kernel, self.places, here)
         cross += self.left.T @ left - self.rows.T @ rows
-        errors, first = self._errors(points)[:, :jets, :jets], 0
+        errors, first = self._errors(points), 0
         for number, each in enumerate(few):
             if not len(each):
                 continue
             ours = slice(first, first + len(each))
-            columns, first = slice(jets * first, jets * ours.stop), ours.stop
+            columns, first = slice(JET * first, JET * ours.stop), ours.stop
             own = covariance(kernel, here.part(ours), here.part(ours))
-            kept = told_of[: len(own)]
-            own = own[np.ix_(kept, kept)] + left[:, columns].T @ left[:, columns]
-            own -= rows[:, columns].T @ rows[:, columns]
+            own += left[:, columns].T @ left[:, columns] - rows[:, columns].T @ rows[:, columns]
             own += block_diag(*errors[ours])
             root = cholesky(own, lower=True, check_finite=False)
             told = solve_triangular(root, cross[:, columns].T, lower=True, check_finite=False)
             variance = np.maximum(self.variance - np.sum(told**2, axis=0), 0)
             away = np.minimum(self.away, self.stated.away(each))
-            decrease[number] = self.unknown - self._unknown(variance, away)
+            stated = self.stated.between(self.contacts, each)
+            decrease[number] = self.unknown - self._unknown(stated, variance, away)
         return decrease
 
     def _errors(self, points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "k 4 4"]:

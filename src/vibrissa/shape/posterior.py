@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import cho_solve, cholesky, solve_triangular
 
 from vibrissa.shape.kernel import (
     JET,
@@ -75,6 +75,10 @@ class Posterior:
         """Of the sites in the mean."""
         flat = solve_triangular(self.basis.root, self.mean, lower=True, trans=1)
         return flat.reshape(-1, JET)
+
+    def solved(self, columns: Float[np.ndarray, "m n"]) -> Float[np.ndarray, "m n"]:
+        """The inverse of the precision times columns."""
+        return np.asarray(cho_solve((self.root, True), columns, check_finite=False))
 
     def variance(self, places: Coordinates) -> Float[np.ndarray, "n"]:
         """Of the level at places."""

@@ -37,9 +37,11 @@ class Stated(NamedTuple):
     """How deviations at some points follow from the level's variance there."""
 
     points: Float[np.ndarray, "n 3"]
+    feet: Float[np.ndarray, "n 3"]
+    """Places of the surface closest to them."""
     factor: Float[np.ndarray, "n"]
     aside: Float[np.ndarray, "n"]
-    """1 where the closest place of the surface is beyond contacts, 0 between them."""
+    """1 where that place is beyond contacts, 0 between them."""
     departures: Departures
     extent: float
 
@@ -57,9 +59,21 @@ class Stated(NamedTuple):
         first = level.folds.first if level.folds else level.total
         bent = first.curvature(points) + level.ball.curvature(points)
         sharp = np.linalg.norm(bent, axis=(1, 2)) * _UNSURE * extent
-        beyond = _aside(level.feet(points, extent), contacts, extent)
+        feet = level.feet(points, extent)
         factor = level.doubt * np.hypot(1.0, sharp) / steepness
-        return cls(points, factor, beyond, level.departures, extent)
+        beyond = _aside(feet, contacts, extent)
+        return cls(points, feet, factor, beyond, level.departures, extent)
+
+    def between(
+        self, contacts: Float[np.ndarray, "k 3"], added: Float[np.ndarray, "j 3"]
+    ) -> "Stated":
+        """With some more contacts, beyond which fewer places are."""
+        near = np.asarray(KDTree(added).query(self.feet)[0]) < _BEYOND * self.extent
+        rows = np.flatnonzero(near & (self.aside > 0))
+        found = _aside(self.feet[rows], np.concatenate([contacts, added]), self.extent)
+        beyond = self.aside.copy()
+        beyond[rows] = np.minimum(beyond[rows], found)
+        return self._replace(aside=beyond)
 
     def away(self, contacts: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "n"]:
         """Distances of the points from the nearest contact."""

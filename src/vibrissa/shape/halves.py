@@ -1,0 +1,43 @@
+"""Whether surfaces through either half of the sweeps differ by as much as they say."""
+
+import numpy as np
+from scipy.special import ndtri
+
+from vibrissa.shape.kernel import JET
+from vibrissa.shape.noise import Noise
+from vibrissa.shape.posterior import Basis, Data, information, solved
+from vibrissa.shape.sites import Sites
+
+_PLACES = 400
+"""Contacts at which the two are compared."""
+_SHARE = 0.95
+"""Of the places, within the interval that is to hold them."""
+_LEAST, _BEFORE = 24, 10
+"""Sweeps below which nothing is concluded, and sweeps that count as much as the belief that
+deviations are right. Of 13 objects after some 80 sweeps, 95 % intervals held 98.4 % near contacts
+on average without this factor, and hold 95.6 % (90.6 to 98.7); through 600 contacts 99.1 and 96.4 %
+(92.6 to 99.3). Of 16 sweeps, of one block in three, they held 87 %.
+"""
+
+
+def agreement(basis: Basis, data: Data, noise: Noise, sites: Sites, sweeps: int) -> float:
+    """Factor of deviations, below 1 where two surfaces that share no sweep differ by less than they
+    say: random surfaces of one length are rougher than balls, tori, or a block's faces.
+
+    With unknowns of unit variance before, and precisions A and B given either half, the means of
+    the two differ by a covariance A⁻¹ + B⁻¹ − 2 A⁻¹B⁻¹.
+    """
+    if sweeps < _LEAST:
+        return 1.0
+    half = np.array([sites.half[rows[0]] for rows in noise.groups])
+    found = []
+    for side in (0, 1):
+        groups = [noise.groups[row] for row in np.flatnonzero(half == side)]
+        found.append(solved(basis, *information(data, noise._replace(groups=groups))))
+    values = data.rows[:, ::JET][:, :: -(-len(sites.point) // _PLACES)]
+    told = [each.solved(values) for each in found]
+    apart = (found[0].mean - found[1].mean) @ values
+    variance = np.einsum("mn,mn->n", values, told[0] + told[1])
+    variance -= 2 * np.einsum("mn,mn->n", *told)
+    ratio = np.quantile(np.abs(apart) / np.sqrt(variance), _SHARE) / ndtri(0.5 + _SHARE / 2)
+    return float(np.sqrt((_BEFORE + sweeps * min(ratio, 1.0) ** 2) / (_BEFORE + sweeps)))

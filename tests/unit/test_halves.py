@@ -43,7 +43,7 @@ def test_surfaces_as_random_as_said_differ_by_as_much_as_said(inner, size, monke
 
 def test_an_ellipsoid_is_smoother_than_random_surfaces(inner):
     shape = inner[0]
-    assert 0.5 < shape.level.doubt < 0.95
+    assert 0.5 < shape.level.agreement < 0.95
     points = samples(ELLIPSOID)
     held = np.abs(shape.distance(points)) < 1.96 * shape.deviation(points)
     assert 0.9 < held.mean() < 0.99

@@ -133,8 +133,11 @@ def fit_shape(
     others = left_out(level.found, data, noise)
     findings = findings_of(others, noise, sites, given.extent)
     departures = Departures.of(sites.point, level.jets(sites.point), fit.curvature, given.extent)
-    believed = agreement(level.found.basis, data, noise, sites, len(np.unique(given.sweep)))
-    level = level._replace(doubt=believed * _excess(others, 0.95), departures=departures)
+    level = level._replace(
+        doubt=_excess(others, 0.95),
+        agreement=agreement(level.found.basis, data, noise, sites, len(np.unique(given.sweep))),
+        departures=departures,
+    )
     if lines is not None:
         places = level.places(sites.point)
         level, refuted = emptied(level, places, data.target, noise, lines, given.extent)

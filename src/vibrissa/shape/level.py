@@ -25,9 +25,10 @@ _STEPS, _SETTLED = 30, 1e-5
 
 
 class Level(NamedTuple):
-    """Mean level of the ball, coordinates, and what the contacts say besides; the factor of
-    deviations that surfaces through half of the sweeps tell; and how far the surface departs from
-    where its curvatures lead.
+    """Mean level of the ball, coordinates, and what the contacts say besides; the factor by which
+    deviations are too small, as sweeps that are left out show, and that by which they are too large
+    at contacts, as halves of the sweeps do; and how far the surface departs from where its
+    curvatures lead.
     """
 
     ball: Ball
@@ -35,6 +36,7 @@ class Level(NamedTuple):
     found: Posterior
     total: Sum
     doubt: float = 1.0
+    agreement: float = 1.0
     departures: Departures = NONE
 
     @classmethod
@@ -46,7 +48,7 @@ class Level(NamedTuple):
     def knowing(self, found: Posterior) -> "Level":
         """The same where something else is known of its unknowns."""
         level = Level.of(self.ball, self.folds, found)
-        return level._replace(doubt=self.doubt, departures=self.departures)
+        return self._replace(found=found, total=level.total)
 
     def places(self, points: Points) -> Coordinates:
         """Coordinates of points."""

@@ -29,6 +29,10 @@ _BETWEEN, _BEYOND = 0.1, 0.25
 """Distances of the nearest contact on the other side, relative to the extent, up to which a point
 is between contacts, and from which it is beyond them.
 """
+_NEAR = 0.04
+"""Distance from contacts within which deviations are as much too large as at contacts, relative to
+the extent: 3 mm on an object of 50 mm.
+"""
 _ACROSS = 0.5
 """Cosine of the angle to the opposite direction up to which a contact is on the other side."""
 
@@ -60,7 +64,10 @@ class Stated(NamedTuple):
         bent = first.curvature(points) + level.ball.curvature(points)
         sharp = np.linalg.norm(bent, axis=(1, 2)) * _UNSURE * extent
         feet = level.feet(points, extent)
-        factor = level.doubt * np.hypot(1.0, sharp) / steepness
+        away = np.asarray(KDTree(contacts).query(points)[0])
+        known = np.exp(-((away / (_NEAR * extent)) ** 2))
+        factor = level.doubt * (1 - (1 - level.agreement) * known)
+        factor *= np.hypot(1.0, sharp) / steepness
         beyond = _aside(feet, contacts, extent)
         return cls(points, feet, factor, beyond, level.departures, extent)
 

@@ -2,8 +2,8 @@
 
 The surface is a Gaussian process, so that what contacts will leave open depends on where they will
 be, not on what they will say. Where they will be, the forward model tells on the present surface.
-All candidates are compared by a rod that stays straight and touches where it enters the object and
-where it is deepest inside; the best of them are scanned.
+All candidates are compared by a rod that stays straight and touches where it is deepest inside, or
+where it enters the object; the best of them by either are scanned.
 """
 
 from __future__ import annotations
@@ -160,12 +160,14 @@ def next_sweep(
     rows = np.linspace(0, trails.count - 1, _POSITIONS)
     few = Trail.stack([between(number, trails[each], rows) for each in range(trails.shape[0])])
     status = np.where(planned.inside(shape, few, keep), Status.CLAMP_INSIDE, Status.OK)
-    contacts, likely = planned.straight(shape, rod, few)
-    gain = np.where(status == Status.OK, likely * gains.expected(contacts), 0.0)
+    ways, likely = planned.straight(shape, rod, few)
+    either = likely * np.stack([gains.expected(contacts) for contacts in ways])
+    place = np.min(np.argsort(np.argsort(-either, axis=1, kind="stable"), axis=1), axis=0)
+    contacts, gain = ways[0], np.where(status == Status.OK, np.min(either, axis=0), 0.0)
     scanned = np.zeros(len(gain), dtype=bool)
     while not np.any(scanned & (status == Status.OK)):
         open_ = np.flatnonzero((status == Status.OK) & ~scanned)
-        chosen = open_[np.argsort(-gain[open_], kind="stable")[:_MODELLED]]
+        chosen = open_[np.argsort(place[open_], kind="stable")[:_MODELLED]]
         if not len(chosen):
             break
         found = planned.scanned(rod, few, chosen, friction)
@@ -214,10 +216,11 @@ class _Planned(NamedTuple):
 
     def straight(
         self, shape: Shape, rod: Rod, trails: Trail
-    ) -> tuple[list[Float[np.ndarray, "_ 3"]], Float[np.ndarray, "m"]]:
-        """For each trail, points of the surface where the free rod enters it, and next to where it
-        is deepest inside; and the probability that it is inside anywhere: the surface may lie
-        deeper than its mean. A bent rod glides between the two.
+    ) -> tuple[list[list[Float[np.ndarray, "_ 3"]]], Float[np.ndarray, "m"]]:
+        """For each trail, points of the surface next to where the free rod is deepest inside, and
+        others where it enters: a rod that is driven far beyond an end is bent until it touches
+        there. And the probability that it is inside anywhere: the surface may lie deeper than its
+        mean.
         """
         lines = free_lines(rod, trails, _ALONG).reshape(*trails.shape, _ALONG, 3)
         level = _level(self.surface, lines)
@@ -228,9 +231,9 @@ class _Planned(NamedTuple):
         likely = ndtr(depth[row] / shape.deviation(lines[(*each, deepest)][row]))
         inside = depth >= 0
         each, deepest, enters = each[:, inside], deepest[inside], enters[inside]
-        points = np.stack([lines[(*each, deepest)], lines[(*each, enters)]])
-        points = _onto(self.surface, points.reshape(-1, 3)).reshape(points.shape)
-        return [points[:, each[0] == number].reshape(-1, 3) for number in range(len(depth))], likely
+        points = [_onto(self.surface, lines[(*each, row)]) for row in (deepest, enters)]
+        ways = [[all_[each[0] == number] for number in range(len(depth))] for all_ in points]
+        return ways, likely
 
     def scanned(self, rod: Rod, trails: Trail, rows: Int[np.ndarray, "k"], friction: float) -> Scan:
         """What the forward model finds."""

@@ -111,6 +111,8 @@ def data():
         np.repeat([0, 1], 7),
         np.arange(14.0),
         np.ones(14, int),
+        np.repeat([0, 1], 7),
+        np.ones(14),
     )
     bent = rng.normal(size=(14, 3, 3))
     return sites, Noise.of(sites, bent + np.swapaxes(bent, 1, 2), np.ones(14), 3.0, 2.0)

@@ -45,7 +45,7 @@ _MODELLED = 12
 _CONTACTS = 8
 """Contacts of a sweep that are expected to say something: neighbours say the same."""
 _KEPT = 300
-"""Contacts so far between which places are."""
+"""Contacts so far that tell whether a place is between contacts."""
 _RISK = 0.05
 """Probability of the clamp being inside the object that is not taken."""
 
@@ -162,12 +162,12 @@ def next_sweep(
     status = np.where(planned.inside(shape, few, keep), Status.CLAMP_INSIDE, Status.OK)
     ways, likely = planned.straight(shape, rod, few)
     either = likely * np.stack([gains.expected(contacts) for contacts in ways])
-    place = np.min(np.argsort(np.argsort(-either, axis=1, kind="stable"), axis=1), axis=0)
+    rank = np.min(np.argsort(np.argsort(-either, axis=1, kind="stable"), axis=1), axis=0)
     contacts, gain = ways[0], np.where(status == Status.OK, np.min(either, axis=0), 0.0)
     scanned = np.zeros(len(gain), dtype=bool)
     while not np.any(scanned & (status == Status.OK)):
         open_ = np.flatnonzero((status == Status.OK) & ~scanned)
-        chosen = open_[np.argsort(place[open_], kind="stable")[:_MODELLED]]
+        chosen = open_[np.argsort(rank[open_], kind="stable")[:_MODELLED]]
         if not len(chosen):
             break
         found = planned.scanned(rod, few, chosen, friction)
@@ -218,8 +218,8 @@ class _Planned(NamedTuple):
         self, shape: Shape, rod: Rod, trails: Trail
     ) -> tuple[list[list[Float[np.ndarray, "_ 3"]]], Float[np.ndarray, "m"]]:
         """For each trail, points of the surface next to where the free rod is deepest inside, and
-        others where it enters: a rod that is driven far beyond an end is bent until it touches
-        there. And the probability that it is inside anywhere: the surface may lie deeper than its
+        others where it enters, as a rod that is driven far beyond an end is bent until it touches
+        there; and the probability that it is inside anywhere: the surface may lie deeper than its
         mean.
         """
         lines = free_lines(rod, trails, _ALONG).reshape(*trails.shape, _ALONG, 3)

@@ -74,7 +74,7 @@ class Stated(NamedTuple):
     def between(
         self, contacts: Float[np.ndarray, "k 3"], added: Float[np.ndarray, "j 3"]
     ) -> "Stated":
-        """With some more contacts, beyond which fewer places are."""
+        """With some contacts more: fewer places are beyond contacts."""
         near = np.asarray(KDTree(added).query(self.feet)[0]) < _BEYOND * self.extent
         rows = np.flatnonzero(near & (self.aside > 0))
         found = _aside(self.feet[rows], np.concatenate([contacts, added]), self.extent)

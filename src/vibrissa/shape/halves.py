@@ -15,7 +15,7 @@ _SHARE = 0.95
 _LEAST, _BEFORE = 24, 4
 """Sweeps below which nothing is concluded, and sweeps that count as much as the belief that
 deviations are right. Of 13 objects after some 80 sweeps, 95 % intervals held 98.1 % near contacts
-on average without this factor, and hold 95.9 % (90.7 to 98.9); through 600 contacts 98.9 and 96.8 %
+on average without this factor, and hold 95.9 % (90.7 to 98.9); through 600 contacts 98.9 and 96.9 %
 (93.3 to 99.4). Of 16 sweeps, of one block in three, they held 87 %.
 """
 _TINY = 1e-300

@@ -108,9 +108,9 @@ def test_what_contacts_take_away_is_that_of_plain_conditioning(known):
     contacts = np.concatenate([shape.sites.point, new])
     away = KDTree(contacts).query(places)[0]
     aside = Stated.at(shape.level, places, contacts, shape.extent).aside
-    stated = gains.stated._replace(aside=np.minimum(gains.stated.aside, aside))
+    stated = gains.stated._replace(aside=np.minimum(gains.stated.aside, aside), away=away)
     assert stated.aside.mean() < gains.stated.aside.mean()
-    wanted = gains.unknown - stated.deviations(np.maximum(left, 0), away).mean()
+    wanted = gains.unknown - stated.deviations(np.maximum(left, 0)).mean()
     assert gains.expected([new])[0] == pytest.approx(wanted, rel=1e-4)
     assert gains.unknown == pytest.approx(shape.deviation(places).mean(), rel=1e-6)
 

@@ -301,7 +301,6 @@ class _Gains(NamedTuple):
     """How values at the places depend on the level's unknowns, before and after the contacts."""
     left: Float[np.ndarray, "m n"]
     variance: Float[np.ndarray, "n"]
-    away: Float[np.ndarray, "n"]
     tolerance: float | None
 
     @classmethod
@@ -314,18 +313,17 @@ class _Gains(NamedTuple):
         rows = found.basis.values(places)
         left = solve_triangular(found.root, rows, lower=True, check_finite=False)
         variance = found.basis.kernel.variance + np.sum(left**2 - rows**2, axis=0)
-        away, contacts = stated.away(shape.sites.point), shape.sites.point
-        contacts = contacts[spread_out(contacts, _KEPT)]
+        contacts = shape.sites.point[spread_out(shape.sites.point, _KEPT)]
         variance = np.maximum(variance, 0)
-        return cls(shape, stated, contacts, places, rows, left, variance, away, tolerance)
+        return cls(shape, stated, contacts, places, rows, left, variance, tolerance)
 
     @property
     def unknown(self) -> float:
         """Mean over the places."""
-        return self._unknown(self.stated, self.variance, self.away)
+        return self._unknown(self.stated, self.variance)
 
-    def _unknown(self, stated: Stated, variance: np.ndarray, away: np.ndarray) -> float:
-        deviation = stated.deviations(variance, away)
+    def _unknown(self, stated: Stated, variance: Float[np.ndarray, "n"]) -> float:
+        deviation = stated.deviations(variance)
         if self.tolerance is None:
             return float(np.mean(deviation))
         scaled = self.tolerance / (np.sqrt(2) * np.maximum(deviation, 1e-300))
@@ -356,9 +354,8 @@ class _Gains(NamedTuple):
             root = cholesky(own, lower=True, check_finite=False)
             told = solve_triangular(root, cross[:, columns].T, lower=True, check_finite=False)
             variance = np.maximum(self.variance - np.sum(told**2, axis=0), 0)
-            away = np.minimum(self.away, self.stated.away(each))
-            stated = self.stated.between(self.contacts, each)
-            decrease[number] = self.unknown - self._unknown(stated, variance, away)
+            stated = self.stated.touched(self.contacts, each)
+            decrease[number] = self.unknown - self._unknown(stated, variance)
         return decrease
 
     def _errors(self, points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "k 4 4"]:

@@ -212,4 +212,4 @@ class Shape:
 
     def _deviations(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
         stated = Stated.at(self.level, points, self.sites.point, self.extent)
-        return stated.deviations(self.level.variance(points), stated.away(self.sites.point))
+        return stated.deviations(self.level.variance(points))

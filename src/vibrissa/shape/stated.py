@@ -44,8 +44,10 @@ class Stated(NamedTuple):
     feet: Float[np.ndarray, "n 3"]
     """Places of the surface closest to them."""
     factor: Float[np.ndarray, "n"]
+    away: Float[np.ndarray, "n"]
+    """Distances of the points from the nearest contact."""
     aside: Float[np.ndarray, "n"]
-    """1 where that place is beyond contacts, 0 between them."""
+    """1 where the place of the surface is beyond contacts, 0 between them."""
     departures: Departures
     extent: float
 
@@ -64,35 +66,37 @@ class Stated(NamedTuple):
         bent = first.curvature(points) + level.ball.curvature(points)
         sharp = np.linalg.norm(bent, axis=(1, 2)) * _UNSURE * extent
         feet = level.feet(points, extent)
-        away = np.asarray(KDTree(contacts).query(points)[0])
+        away = _nearest(contacts, points)
         known = np.exp(-((away / (_NEAR * extent)) ** 2))
         factor = level.doubt * (1 - (1 - level.agreement) * known)
         factor *= np.hypot(1.0, sharp) / steepness
         beyond = _aside(feet, contacts, extent)
-        return cls(points, feet, factor, beyond, level.departures, extent)
+        return cls(points, feet, factor, away, beyond, level.departures, extent)
 
-    def between(
+    def touched(
         self, contacts: Float[np.ndarray, "k 3"], added: Float[np.ndarray, "j 3"]
     ) -> "Stated":
-        """With some contacts more: fewer places are beyond contacts."""
-        near = np.asarray(KDTree(added).query(self.feet)[0]) < _BEYOND * self.extent
+        """With some contacts more: they are nearer, and fewer places are beyond contacts."""
+        near = _nearest(added, self.feet) < _BEYOND * self.extent
         rows = np.flatnonzero(near & (self.aside > 0))
         found = _aside(self.feet[rows], np.concatenate([contacts, added]), self.extent)
         beyond = self.aside.copy()
         beyond[rows] = np.minimum(beyond[rows], found)
-        return self._replace(aside=beyond)
+        away = np.minimum(self.away, _nearest(added, self.points))
+        return self._replace(away=away, aside=beyond)
 
-    def away(self, contacts: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "n"]:
-        """Distances of the points from the nearest contact."""
-        return np.asarray(KDTree(contacts).query(self.points)[0])
-
-    def deviations(
-        self, variance: Float[np.ndarray, "*rows n"], away: Float[np.ndarray, "*rows n"]
-    ) -> Float[np.ndarray, "*rows n"]:
-        """Deviations of distances for variances of the level and distances from contacts."""
-        unseen = _UNSEEN * self.extent * (away / self.extent) ** 1.5
-        open_ = self.aside * np.hypot(unseen, _DEPARTED * self.departures.at(away))
+    def deviations(self, variance: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+        """Deviations of distances for variances of the level."""
+        unseen = _UNSEEN * self.extent * (self.away / self.extent) ** 1.5
+        open_ = self.aside * np.hypot(unseen, _DEPARTED * self.departures.at(self.away))
         return np.hypot(np.sqrt(variance) * self.factor, open_)
+
+
+def _nearest(
+    contacts: Float[np.ndarray, "k 3"], points: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "n"]:
+    """Distances of points from the nearest contact."""
+    return np.asarray(KDTree(contacts).query(points)[0])
 
 
 def _aside(

@@ -111,7 +111,7 @@ def _contradicted(
     if not len(points):
         return 0.0
     stated = Stated.at(level, points, contacts, extent)
-    deviation = stated.deviations(level.variance(points), stated.away(contacts))
+    deviation = stated.deviations(level.variance(points))
     return float(depth[depth > _SURE * deviation].max(initial=0.0))
 
 

@@ -20,7 +20,9 @@ def inner() -> tuple[vb.Shape, list[Any]]:
     given = rings(ELLIPSOID, np.random.default_rng(7), sweeps=SWEEPS)
     seen: list[Any] = []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(fit, "agreement", lambda *args: seen.extend(args) or halves.agreement(*args))
+        for name in ("told_by_half", "agreement"):
+            judge = getattr(halves, name)
+            patch.setattr(fit, name, lambda *a, judge=judge: seen.append(a) or judge(*a))
         return vb.fit_shape(given), seen
 
 
@@ -28,7 +30,7 @@ def inner() -> tuple[vb.Shape, list[Any]]:
 def test_surfaces_as_random_as_said_differ_by_as_much_as_said(inner, size, monkeypatch):
     """Surfaces and errors drawn with the deviations that are stated, and with half of them."""
     monkeypatch.setattr(halves, "_BEFORE", 0)
-    basis, data, noise, sites, sweeps = inner[1]
+    (data, noise, sites), (basis, _, _, sweeps) = inner[1]
     rng, found = np.random.default_rng(0), []
     for _ in range(6):
         target = rng.normal(size=len(data.rows)) @ data.rows
@@ -36,7 +38,9 @@ def test_surfaces_as_random_as_said_differ_by_as_much_as_said(inner, size, monke
             root = np.linalg.cholesky(noise.among(rows, data.open[rows]))
             target[columns_of(rows)] += root @ rng.normal(size=len(root))
         drawn = data._replace(target=size * target.reshape(-1, 4))
-        found.append(halves.agreement(basis, drawn, noise, sites, sweeps))
+        found.append(
+            halves.agreement(basis, drawn, halves.told_by_half(drawn, noise, sites), sweeps)
+        )
     # Capped at 1, the mean is a little below it.
     assert np.mean(found) == pytest.approx(size, abs=0.08)
 
@@ -50,5 +54,5 @@ def test_an_ellipsoid_is_smoother_than_random_surfaces(inner):
 
 
 def test_few_sweeps_tell_nothing_of_that(inner):
-    assert halves.agreement(*inner[1][:4], halves._LEAST - 1) == 1.0
-    assert halves.agreement(*inner[1][:4], halves._LEAST) < 1.0
+    assert halves.agreement(*inner[1][1][:3], halves._LEAST - 1) == 1.0
+    assert halves.agreement(*inner[1][1][:3], halves._LEAST) < 1.0

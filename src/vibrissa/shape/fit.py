@@ -20,10 +20,10 @@ from scipy.special import ndtri
 from vibrissa.contacts import Contacts
 from vibrissa.geometry.checks import positive
 from vibrissa.shape.departures import Departures
-from vibrissa.shape.halves import agreement
+from vibrissa.shape.halves import agreement, told_by_half
 from vibrissa.shape.kernel import JET, Coordinates
 from vibrissa.shape.level import Level, places_of
-from vibrissa.shape.noise import Noise, lifted, reach_of
+from vibrissa.shape.noise import Noise, lifted, reach_of, squared
 from vibrissa.shape.outliers import (
     agree_with_neighbours,
     doubtful,
@@ -32,7 +32,7 @@ from vibrissa.shape.outliers import (
     outliers_of,
     thinned,
 )
-from vibrissa.shape.posterior import Basis, Data, LeftOut, left_out, posterior
+from vibrissa.shape.posterior import Basis, Data, LeftOut, information, left_out
 from vibrissa.shape.prior import Ball, Expected, Folds, Scales, most_likely
 from vibrissa.shape.shape import Shape
 from vibrissa.shape.sites import (
@@ -128,14 +128,16 @@ def fit_shape(
     sites = pooled(given.part(sound) if sound.sum() >= LEAST else given)
     level, data, fit = _second(_carried(part, first, sites), first, ball, expected)
     if not given.known:
-        level, fit = _rescaled(level, data, fit)
+        fit = _rescaled(level, data, fit)
     noise = fit.noise()
+    halves, basis = told_by_half(data, noise, sites), level.found.basis
+    level = level.knowing(halves[0].and_that(halves[1]).posterior(basis))
     others = left_out(level.found, data, noise)
     findings = findings_of(others, noise, sites, given.extent)
     departures = Departures.of(sites.point, level.jets(sites.point), fit.curvature, given.extent)
     level = level._replace(
         doubt=_excess(others, 0.95),
-        agreement=agreement(level.found.basis, data, noise, sites, len(np.unique(given.sweep))),
+        agreement=agreement(basis, data, halves, len(np.unique(given.sweep))),
         departures=departures,
     )
     if lines is not None:
@@ -211,8 +213,7 @@ class Fitting:
         """
         residual, own = self.residual(level), self.noise(weight=np.ones_like(self.weight)).own
         own = own + open_
-        square = np.einsum("ni,ni->n", residual, np.linalg.solve(own, residual[..., None])[..., 0])
-        weight = np.minimum((_STUDENT + JET) / (_STUDENT + square), 1.0)
+        weight = np.minimum((_STUDENT + JET) / (_STUDENT + squared(residual, own)), 1.0)
         reach = reach_of(self.sites, residual, own) if alike else self.reach
         return replace(self, weight=weight, reach=reach)
 
@@ -254,18 +255,17 @@ def _second(
     level, data = _surface(fit, ball, folds, _CARRIERS)
     fit = fit.judged(level, data.open, alike=True)
     fit = replace(fit, curvature=level.curvature(fit.sites.point))
-    data = data._replace(target=fit.target(ball))
-    return level.knowing(posterior(level.found.basis, data, fit.noise())), data, fit
+    return level, data._replace(target=fit.target(ball)), fit
 
 
-def _rescaled(level: Level, data: Data, fit: Fitting) -> tuple[Level, Fitting]:
+def _rescaled(level: Level, data: Data, fit: Fitting) -> Fitting:
     """With errors as large as each sweep's distance from the others says, where they were not
     given: the evidence alone takes what neighbours share for the surface's own.
     """
-    factor = _excess(left_out(level.found, data, fit.noise()), 0.5)
-    fit = replace(fit, scales=fit.scales._replace(noise=fit.scales.noise * factor))
-    found = posterior(level.found.basis, data, fit.noise())
-    return level.knowing(found), fit
+    noise = fit.noise()
+    found = information(data, noise).posterior(level.found.basis)
+    factor = _excess(left_out(found, data, noise), 0.5)
+    return replace(fit, scales=fit.scales._replace(noise=fit.scales.noise * factor))
 
 
 def _excess(others: list[LeftOut], share: float) -> float:
@@ -274,7 +274,7 @@ def _excess(others: list[LeftOut], share: float) -> float:
     (block, torus, blob).
     """
     apart = [
-        np.abs(missed[::JET]) / np.sqrt(np.diag(predicted + errors)[::JET])
+        np.abs(missed) / np.sqrt(np.diag(predicted + errors))
         for missed, predicted, errors in others
     ]
     normal = ndtri(0.5 + 0.5 * share)
@@ -298,7 +298,7 @@ def _surface(fit: Fitting, ball: Ball, folds: Folds | None, carriers: int) -> tu
     places = places_of(folds, fit.sites.point)
     basis = Basis.of(fit.scales.kernel(fit.extent), places.part(spread_out(places.value, carriers)))
     data = Data.of(basis, places, fit.target(ball))
-    return Level.of(ball, folds, posterior(basis, data, fit.noise())), data
+    return Level.of(ball, folds, information(data, fit.noise()).posterior(basis)), data
 
 
 def _every(count: int, most: int) -> Int[np.ndarray, "rows"]:

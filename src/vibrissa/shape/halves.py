@@ -5,7 +5,7 @@ from scipy.special import ndtri
 
 from vibrissa.shape.kernel import JET
 from vibrissa.shape.noise import Noise
-from vibrissa.shape.posterior import Basis, Data, information, solved
+from vibrissa.shape.posterior import Basis, Data, Information, information
 from vibrissa.shape.sites import Sites
 
 _PLACES = 400
@@ -22,7 +22,18 @@ _TINY = 1e-300
 """Variance that is none."""
 
 
-def agreement(basis: Basis, data: Data, noise: Noise, sites: Sites, sweeps: int) -> float:
+def told_by_half(data: Data, noise: Noise, sites: Sites) -> list[Information]:
+    """What either half of the sweeps tells; both together are all."""
+    half = np.array([sites.half[rows[0]] for rows in noise.groups])
+    return [
+        information(
+            data, noise._replace(groups=[noise.groups[row] for row in np.flatnonzero(half == side)])
+        )
+        for side in (0, 1)
+    ]
+
+
+def agreement(basis: Basis, data: Data, halves: list[Information], sweeps: int) -> float:
     """Factor of deviations, below 1 where two surfaces that share no sweep differ by less than they
     say: random surfaces of one length are rougher than balls, tori, or a block's faces.
 
@@ -31,12 +42,8 @@ def agreement(basis: Basis, data: Data, noise: Noise, sites: Sites, sweeps: int)
     """
     if sweeps < _LEAST:
         return 1.0
-    half = np.array([sites.half[rows[0]] for rows in noise.groups])
-    found = []
-    for side in (0, 1):
-        groups = [noise.groups[row] for row in np.flatnonzero(half == side)]
-        found.append(solved(basis, *information(data, noise._replace(groups=groups))))
-    values = data.rows[:, ::JET][:, :: -(-len(sites.point) // _PLACES)]
+    found = [told.posterior(basis) for told in halves]
+    values = data.rows[:, ::JET][:, :: -(-len(data.target) // _PLACES)]
     told = [each.solved(values) for each in found]
     apart = (found[0].mean - found[1].mean) @ values
     variance = np.einsum("mn,mn->n", values, told[0] + told[1])

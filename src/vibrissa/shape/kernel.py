@@ -134,7 +134,7 @@ def covariance(
     """Of values and gradients at the one places with those at the other (4 n, 4 m)."""
     middle = right.value.mean(axis=0)
     left, right = left.about(middle), right.about(middle)
-    k, b, c = kernel.slopes(_squared(left.value, right.value))
+    k, b, c = kernel.slopes(squares(left.value, right.value))
     whole = np.empty((len(left.value), JET, len(right.value), JET))
     whole[:, 0, :, 0] = k
     here = [each[:, None] - met for each, met in left.projections(right.value)]
@@ -154,15 +154,26 @@ def covariance_of_values(
     """Of values at the one places with values and gradients at the other (n, 4 m)."""
     middle = right.value.mean(axis=0)
     left, right = left.about(middle), right.about(middle)
-    k, b, _ = kernel.slopes(_squared(left.value, right.value))
     whole = np.empty((len(left.value), len(right.value), JET))
-    whole[..., 0] = k
-    for i, (each, met) in enumerate(right.projections(left.value)):
-        whole[..., 1 + i] = b * (met.T - each)
+
+    def fill(rows: slice) -> None:
+        here = left.value[rows]
+        k, b, _ = kernel.slopes(squares(here, right.value))
+        whole[rows, :, 0] = k
+        for i, (each, met) in enumerate(right.projections(here)):
+            whole[rows, :, 1 + i] = b * (met.T - each)
+
+    in_threads(fill, blocks(len(whole), len(right.value)))
     return whole.reshape(len(left.value), -1)
 
 
-def _squared(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+def blocks(count: int, others: int) -> list[slice]:
+    """Rows, in blocks of as many as suit the cache if each is paired with so many others."""
+    step = max(_BLOCK // others, 1)
+    return [slice(start, start + step) for start in range(0, max(count, 1), step)]
+
+
+def squares(left: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Squared distances (n, m) between places (n, k) and (m, k)."""
     whole = left @ (-2 * right.T)
     whole += np.sum(left**2, axis=1)[:, None]
@@ -195,7 +206,7 @@ class Sum(NamedTuple):
         own = np.sum(sites * second, axis=1)
 
         def some(here: np.ndarray) -> np.ndarray:
-            k, b, c = self.kernel.slopes(_squared(here, sites))
+            k, b, c = self.kernel.slopes(squares(here, sites))
             along = here @ second.T - own
             value = k @ first + np.sum(b * along, axis=1)
             slope = b @ second - _summed(b * first + c * along, here, sites)
@@ -218,7 +229,7 @@ class Sum(NamedTuple):
         mixed = (_outer(sites, second) + _outer(second, sites)).reshape(-1, 9)
 
         def some(here: np.ndarray) -> np.ndarray:
-            b, c, third = self.kernel.bends(_squared(here, sites))
+            b, c, third = self.kernel.bends(squares(here, sites))
             along = here @ second.T - own
             pull = b * first + c * along
             bend = c * first + third * along
@@ -235,11 +246,8 @@ class Sum(NamedTuple):
 
     def _in_parts(self, function: Any, places: np.ndarray) -> np.ndarray:
         """A function (n, …) of places, as many at a time as suits the cache, on all cores."""
-        step = max(_BLOCK // len(self.weights), 1)
-        starts = range(0, max(len(places), 1), step)
-        return np.concatenate(
-            in_threads(lambda start: function(places[start : start + step]), starts)
-        )
+        parts = blocks(len(places), len(self.weights))
+        return np.concatenate(in_threads(lambda rows: function(places[rows]), parts))
 
 
 def _summed(weights: np.ndarray, here: np.ndarray, sites: np.ndarray) -> np.ndarray:

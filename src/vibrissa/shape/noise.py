@@ -166,6 +166,13 @@ def whitened(whole: np.ndarray, columns: np.ndarray) -> np.ndarray:
     return cho_solve(cho_factor(whole, lower=True, check_finite=False), columns, check_finite=False)
 
 
+def squared(
+    residual: Float[np.ndarray, "n 4"], own: Float[np.ndarray, "n 4 4"]
+) -> Float[np.ndarray, "n"]:
+    """Squared residuals in their errors."""
+    return np.einsum("ni,ni->n", residual, np.linalg.solve(own, residual[..., None])[..., 0])
+
+
 def reach_of(
     sites: Sites, residual: Float[np.ndarray, "n 4"], own: Float[np.ndarray, "n 4 4"]
 ) -> float:

@@ -7,9 +7,8 @@ from jaxtyping import Bool, Float, Int
 from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial import KDTree
 
-from vibrissa.shape.kernel import JET
 from vibrissa.shape.level import Level
-from vibrissa.shape.noise import Noise, lifted
+from vibrissa.shape.noise import Noise, lifted, squared
 from vibrissa.shape.posterior import LeftOut
 from vibrissa.shape.sites import Gathered, Sites
 
@@ -87,11 +86,15 @@ def _squares(
     residual = np.column_stack([lift - jets[:, 0], given.normal[rows] - jets[:, 1:]])
     own = Noise.errors(given.normal[rows], given.covariance[rows], bent, given.extent)
     own += np.diag([(_OFF * given.extent) ** 2, *[_TILTED**2] * 3])
+    square = squared(residual, own)
     if not sure:
-        variance, length = level.variance(point), level.found.basis.kernel.smooth.length
-        own[:, 0, 0] += variance
-        own[:, 1:, 1:] += (variance * 5 / length**2)[:, None, None] * np.eye(3)
-    return np.einsum("ni,ni->n", residual, np.linalg.solve(own, residual[..., None])[..., 0])
+        # What is explained by a sure surface is also by one that is not.
+        off = np.flatnonzero(square > _GROSS)
+        variance, length = level.variance(point[off]), level.found.basis.kernel.smooth.length
+        own[off, 0, 0] += variance
+        own[off, 1:, 1:] += (variance * 5 / length**2)[:, None, None] * np.eye(3)
+        square[off] = squared(residual[off], own[off])
+    return square
 
 
 def findings_of(others: list[LeftOut], noise: Noise, sites: Sites, extent: float) -> list[str]:
@@ -119,11 +122,10 @@ def _sweeps(others: list[LeftOut], noise: Noise, sites: Sites, extent: float) ->
     """Sweeps that fit the surface through all others better when shifted as a whole."""
     found: dict[int, tuple[float, float]] = {}
     for rows, (missed, predicted, errors) in zip(noise.groups, others, strict=True):
-        whole = (predicted + errors)[::JET, ::JET]
-        weighted = np.linalg.solve(whole, sites.normal[rows])
+        weighted = np.linalg.solve(predicted + errors, sites.normal[rows])
         # A shift is determined only across the surface; any is less than the object's size.
         precision = weighted.T @ sites.normal[rows] + np.eye(3) / extent**2
-        shift = np.linalg.solve(precision, weighted.T @ missed[::JET])
+        shift = np.linalg.solve(precision, weighted.T @ missed)
         evidence = np.sqrt(shift @ precision @ shift)
         size = float(np.linalg.norm(shift))
         if evidence > _CONTRADICTED:

@@ -42,8 +42,10 @@ _POSITIONS, _ALONG = 16, 16
 """Clamp positions of a candidate, and points along a straight rod."""
 _MODELLED = 12
 """Candidates that are scanned at a time."""
-_CONTACTS = 8
-"""Contacts of a sweep that are expected to say something: neighbours say the same."""
+_CONTACTS, _COMPARED = 8, 4
+"""Contacts of a sweep that are expected to say something, as neighbours say the same, and those of
+a candidate that is only compared with others: of the first twelve, ten to twelve are the same.
+"""
 _KEPT = 300
 """Contacts so far that tell whether a place is between contacts."""
 _RISK = 0.05
@@ -161,7 +163,7 @@ def next_sweep(
     few = Trail.stack([between(number, trails[each], rows) for each in range(trails.shape[0])])
     status = np.where(planned.inside(shape, few, keep), Status.CLAMP_INSIDE, Status.OK)
     ways, likely = planned.straight(shape, rod, few)
-    either = likely * np.stack([gains.expected(contacts) for contacts in ways])
+    either = likely * np.stack([gains.expected(contacts, _COMPARED) for contacts in ways])
     rank = np.min(np.argsort(np.argsort(-either, axis=1, kind="stable"), axis=1), axis=0)
     contacts, gain = ways[0], np.where(status == Status.OK, np.min(either, axis=0), 0.0)
     scanned = np.zeros(len(gain), dtype=bool)
@@ -176,7 +178,7 @@ def next_sweep(
         status[chosen[overstrained]] = Status.OVERSTRAINED
         sound = found.in_contact & (found.status == Status.OK)
         touched = [point[rows] for point, rows in zip(found.point, sound, strict=True)]
-        gain[chosen] = np.where(overstrained, 0.0, gains.expected(touched))
+        gain[chosen] = np.where(overstrained, 0.0, gains.expected(touched, _CONTACTS))
         for row, points in zip(chosen.tolist(), touched, strict=True):
             contacts[row] = points
     order = np.lexsort((-gain, ~scanned, status != Status.OK))
@@ -329,9 +331,11 @@ class _Gains(NamedTuple):
         scaled = self.tolerance / (np.sqrt(2) * np.maximum(deviation, 1e-300))
         return float(np.mean(erfc(scaled)))
 
-    def expected(self, contacts: Sequence[Float[np.ndarray, "_ 3"]]) -> Float[np.ndarray, "sweeps"]:
-        """Expected decrease by each sweep with contacts at such points."""
-        few = [points[:: -(-len(points) // _CONTACTS) or 1] for points in contacts]
+    def expected(
+        self, contacts: Sequence[Float[np.ndarray, "_ 3"]], most: int
+    ) -> Float[np.ndarray, "sweeps"]:
+        """Expected decrease by each sweep with contacts at such points, of which so many count."""
+        few = [points[:: -(-len(points) // most) or 1] for points in contacts]
         decrease = np.zeros(len(few))
         if not any(map(len, few)):
             return decrease

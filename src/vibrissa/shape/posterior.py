@@ -57,7 +57,7 @@ class Basis(NamedTuple):
         return self._solved(covariance_of_values(self.kernel, places, self.sites).T)
 
     def _solved(self, columns: np.ndarray) -> np.ndarray:
-        return solve_triangular(self.root, columns, lower=True, check_finite=False)
+        return solve_triangular(self.root, columns, lower=True, overwrite_b=True, check_finite=False)
 
 
 @dataclass(frozen=True)
@@ -83,11 +83,15 @@ class Posterior:
     def variance(self, places: Coordinates) -> Float[np.ndarray, "n"]:
         """Of the level at places."""
         found = np.empty(len(places.value))
+        # Of what contacts leave, half the digits do; of what they take, all are needed.
+        root = self.root.astype(np.float32)
         for start in range(0, len(found), _ROWS):
             rows = slice(start, start + _ROWS)
             known = self.basis.values(places.part(rows))
-            left = solve_triangular(self.root, known, lower=True, check_finite=False)
-            found[rows] = np.einsum("mn,mn->n", left, left) - np.einsum("mn,mn->n", known, known)
+            taken = np.einsum("mn,mn->n", known, known)
+            left = known.astype(np.float32)
+            left = solve_triangular(root, left, lower=True, overwrite_b=True, check_finite=False)
+            found[rows] = np.einsum("mn,mn->n", left, left) - taken
         return np.maximum(found + self.basis.kernel.variance, 0.0)
 
 
@@ -116,11 +120,27 @@ class Data(NamedTuple):
         return cls(rows, rest, target)
 
 
-def information(
-    data: Data, noise: Noise
-) -> tuple[Float[np.ndarray, "m m"], Float[np.ndarray, "m"]]:
-    """Precision of the unknowns given the contacts, and its product with their mean."""
-    scaled, wanted = [], []
+class Information(NamedTuple):
+    """Precision that contacts add to the unknowns' own, and its product with their mean."""
+
+    precision: Float[np.ndarray, "m m"]
+    pull: Float[np.ndarray, "m"]
+
+    def and_that(self, other: "Information") -> "Information":
+        """With that of other contacts, whose errors are independent."""
+        return Information(self.precision + other.precision, self.pull + other.pull)
+
+    def posterior(self, basis: Basis) -> Posterior:
+        """Unknowns given it."""
+        precision = np.eye(len(self.pull)) + self.precision
+        root = cholesky(precision, lower=True, overwrite_a=True, check_finite=False)
+        half = solve_triangular(root, self.pull, lower=True, check_finite=False)
+        return Posterior(basis, solve_triangular(root, half, lower=True, trans=1), root)
+
+
+def information(data: Data, noise: Noise) -> Information:
+    """What the contacts in the noise's groups tell."""
+    scaled, wanted = [np.zeros((0, len(data.rows)))], [np.zeros(0)]
     for rows in noise.groups:
         root = cholesky(noise.among(rows, data.open[rows]), lower=True, check_finite=False)
         told = np.column_stack([data.rows[:, columns_of(rows)].T, data.target[rows].ravel()])
@@ -128,29 +148,15 @@ def information(
         scaled.append(told[:, :-1])
         wanted.append(told[:, -1])
     whole = np.concatenate(scaled)
-    return np.eye(whole.shape[1]) + whole.T @ whole, np.concatenate(wanted) @ whole
-
-
-def solved(
-    basis: Basis, precision: Float[np.ndarray, "m m"], pull: Float[np.ndarray, "m"]
-) -> Posterior:
-    """Unknowns of this precision."""
-    root = cholesky(precision, lower=True, check_finite=False)
-    half = solve_triangular(root, pull, lower=True, check_finite=False)
-    return Posterior(basis, solve_triangular(root, half, lower=True, trans=1), root)
-
-
-def posterior(basis: Basis, data: Data, noise: Noise) -> Posterior:
-    """Unknowns given the contacts."""
-    return solved(basis, *information(data, noise))
+    return Information(whole.T @ whole, np.concatenate(wanted) @ whole)
 
 
 LeftOut = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Of a sweep, as `left_out` gives it."""
 
 
-def left_out(found: Posterior, data: Data, noise: Noise) -> list[LeftOut]:
-    """For each sweep, or part of a long one: its targets less their prediction from all others, the
+def left_out(known: Posterior, data: Data, noise: Noise) -> list[LeftOut]:
+    """For each sweep, or part of a long one: its values less their prediction from all others, the
     covariance of that prediction, and of the errors.
 
     With K the covariance of all data, the prediction's error is ([K⁻¹]ₛₛ)⁻¹ [K⁻¹ y]ₛ and its
@@ -161,10 +167,11 @@ def left_out(found: Posterior, data: Data, noise: Noise) -> list[LeftOut]:
         columns = columns_of(rows)
         whole = noise.among(rows, data.open[rows])
         here = data.rows[:, columns]
-        residual = data.target[rows].ravel() - found.mean @ here
-        left = solve_triangular(found.root, here, lower=True, check_finite=False)
+        residual = data.target[rows].ravel() - known.mean @ here
+        left = solve_triangular(known.root, here, lower=True, check_finite=False)
         # What these rows themselves told is taken off: (R − V)⁻¹ with V the posterior covariance.
         inside = left.T @ left
-        rest = whitened(whole - inside, np.column_stack([residual, inside]))
-        told.append((whole @ rest[:, 0], whole @ rest[:, 1:], whole))
+        rest = whitened(whole - inside, np.column_stack([residual, inside[:, ::JET]]))
+        found = whole[::JET] @ rest
+        told.append((found[:, 0], found[:, 1:], whole[::JET, ::JET]))
     return told

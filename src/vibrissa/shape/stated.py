@@ -6,7 +6,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import KDTree
 
+from vibrissa.numerics.lanes import in_threads
 from vibrissa.shape.departures import Departures
+from vibrissa.shape.kernel import blocks, squares
 from vibrissa.shape.level import STEEP, Level
 
 _UNSURE = 0.04
@@ -103,20 +105,16 @@ def _aside(
     points: Float[np.ndarray, "n 3"], contacts: Float[np.ndarray, "k 3"], extent: float
 ) -> Float[np.ndarray, "n"]:
     """By the distance of the nearest contact that is not on the side of the nearest of all."""
-    tree = KDTree(contacts)
-    _, nearest = tree.query(points)
-    near = tree.query_ball_point(points, _BEYOND * extent)
-    count = np.array([len(rows) for rows in near], dtype=np.int64)
-    rows = np.concatenate([np.zeros(0, dtype=np.int64), *near]).astype(np.int64)
-    which = np.repeat(np.arange(len(points)), count)
-    apart = contacts[rows] - points[which]
-    length = np.maximum(np.linalg.norm(apart, axis=1), _TINY)
-    towards = contacts[nearest] - points
-    towards /= np.maximum(np.linalg.norm(towards, axis=1), _TINY)[:, None]
-    other = np.einsum("ni,ni->n", apart, towards[which]) < -_ACROSS * length
-    across = np.full(len(points), _BEYOND * extent)
-    np.minimum.at(across, which[other], length[other])
-    return np.clip((across / extent - _BETWEEN) / (_BEYOND - _BETWEEN), 0.0, 1.0)
+    away, nearest = KDTree(contacts).query(points)
+    towards = (contacts[nearest] - points) / np.maximum(away, _TINY)[:, None]
+
+    def across(rows: slice) -> np.ndarray:
+        apart = np.sqrt(squares(points[rows], contacts))
+        along = towards[rows] @ contacts.T - np.sum(towards[rows] * points[rows], axis=1)[:, None]
+        return np.min(apart, axis=1, where=along < -_ACROSS * apart, initial=_BEYOND * extent)
+
+    found = np.concatenate(in_threads(across, blocks(len(points), len(contacts))))
+    return np.clip((found / extent - _BETWEEN) / (_BEYOND - _BETWEEN), 0.0, 1.0)
 
 
 def farthest(deviation: float, extent: float) -> float:

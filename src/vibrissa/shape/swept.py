@@ -17,7 +17,7 @@ from scipy.special import log_ndtr
 from vibrissa.shape.kernel import Coordinates
 from vibrissa.shape.level import Level
 from vibrissa.shape.noise import Noise
-from vibrissa.shape.posterior import Basis, Data, information, solved
+from vibrissa.shape.posterior import Basis, Data, Information, information
 from vibrissa.shape.prior import Ball
 from vibrissa.shape.sites import spread_out
 from vibrissa.shape.stated import Stated
@@ -149,9 +149,9 @@ def _given_outside(
         np.concatenate([before.sites.slope[:carriers], own.slope]),
     )
     basis = Basis.of(before.kernel, sites)
-    precision, pull = information(Data.of(basis, places, target), noise)
+    touched = information(Data.of(basis, places, target), noise)
     rows, offset = basis.values(own), level.ball.at(points)[:, 0]
-    alone = solved(basis, precision, pull)
+    alone = touched.posterior(basis)
     left = solve_triangular(alone.root, rows, lower=True, check_finite=False)
     # By the contacts alone: the rounds go on in the space of the points.
     known, expected = left.T @ left, alone.mean @ rows
@@ -173,5 +173,5 @@ def _given_outside(
         moved = center + scale * ratio
         weight += _DAMPING * (1 / narrowed - 1 / open_ - weight)
         push += _DAMPING * (moved / narrowed - center / open_ - push)
-    found = solved(basis, precision + (rows * weight) @ rows.T, pull + rows @ push)
-    return level.knowing(found)
+    missed = Information((rows * weight) @ rows.T, rows @ push)
+    return level.knowing(touched.and_that(missed).posterior(basis))

@@ -57,7 +57,9 @@ class Basis(NamedTuple):
         return self._solved(covariance_of_values(self.kernel, places, self.sites).T)
 
     def _solved(self, columns: np.ndarray) -> np.ndarray:
-        return solve_triangular(self.root, columns, lower=True, overwrite_b=True, check_finite=False)
+        return solve_triangular(
+            self.root, columns, lower=True, overwrite_b=True, check_finite=False
+        )
 
 
 @dataclass(frozen=True)

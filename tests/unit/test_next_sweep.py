@@ -123,24 +123,22 @@ BLOCK = vb.surfaces.Offset(
 
 
 def test_sweeps_over_a_block_that_is_hardly_known_find_what_they_promise():
-    """Of what the best of 54 lines would take away, if its contacts were known before, after one to
-    five sweeps that are chosen in turn. The mean surface bulges where the block ends.
+    """Of what the best of some 50 lines would take away, if its contacts were known before, after
+    two to five. The mean surface bulges where the block ends.
     """
     lines = vb.Trail.stack([stand(side, y) for side in SIDES for y in 0.006 * np.arange(-4, 5)])
-    rng = np.random.default_rng(4)
+    rng, known_rows = np.random.default_rng(4), np.random.default_rng(1)
     told = [felt(line, rng, BLOCK) for line in lines]
+    touching = np.flatnonzero([len(contacts) > 5 for contacts in told])
     taken, best = [], []
-    for start in (4, 40):
-        rows = [start]
-        while len(rows) < 6:
-            shape, left = vb.fit_shape([told[row] for row in rows]), np.setdiff1d(range(54), rows)
-            gains = _Gains.of(shape, _Planned.of(shape).places, 2e-3)
-            true = gains.expected([told[row].point for row in left], 8)
-            first = vb.next_sweep(shape, WIRE, lines[left], tolerance=2e-3).order[0]
-            taken.append(true[first])
-            best.append(true.max())
-            rows.append(left[first])
-    assert sum(taken) > 0.6 * sum(best)
+    for state in range(8):
+        rows = known_rows.choice(touching, 2 + state % 4, replace=False)
+        shape, left = vb.fit_shape([told[row] for row in rows]), np.setdiff1d(range(54), rows)
+        gains = _Gains.of(shape, _Planned.of(shape).places, 2e-3)
+        true = gains.expected([told[row].point for row in left], 8)
+        taken.append(true[vb.next_sweep(shape, WIRE, lines[left], tolerance=2e-3).order[0]])
+        best.append(true.max())
+    assert sum(taken) > 0.75 * sum(best)
 
 
 def test_a_rod_that_is_driven_deep_is_expected_where_it_enters():
@@ -152,7 +150,7 @@ def test_a_rod_that_is_driven_deep_is_expected_where_it_enters():
     trail = vb.Trail(
         stand(Rotation.identity(), 0.002).position[None], np.tile(IDENTITY, (1, 60, 1))
     )
-    for (enters,) in _Planned.of(shape).straight(shape, WIRE, trail):
+    for (enters,) in _Planned.of(shape).straight(WIRE, trail):
         assert np.mean(enters[:, 2] < -0.017) > 0.8
         assert np.median(np.abs(block.distances(enters))) < 0.5e-3
 

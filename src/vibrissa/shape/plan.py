@@ -19,6 +19,7 @@ from jaxtyping import Bool, Float, Int
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag, cholesky, solve_triangular
 from scipy.ndimage import map_coordinates, zoom
+from scipy.spatial import KDTree
 from scipy.special import erfc, ndtr
 
 from vibrissa.contacts import Status
@@ -26,10 +27,10 @@ from vibrissa.forward import Scan, scan
 from vibrissa.geometry.checks import finite_array, not_negative, positive
 from vibrissa.mechanics.shape import free_lines
 from vibrissa.rod import Rod
-from vibrissa.shape.kernel import JET, Coordinates, covariance, covariance_of_values
+from vibrissa.shape.kernel import Coordinates, covariance, covariance_of_values
 from vibrissa.shape.level import STEEP, Level
 from vibrissa.shape.mesh import box_of
-from vibrissa.shape.noise import Noise
+from vibrissa.shape.noise import Noise, columns_of
 from vibrissa.shape.shape import Shape
 from vibrissa.shape.sites import spread_out
 from vibrissa.shape.stated import Stated
@@ -173,9 +174,9 @@ def next_sweep(
     rows = np.linspace(0, trails.count - 1, _POSITIONS)
     few = Trail.stack([between(number, trails[each], rows) for each in range(trails.shape[0])])
     status = np.where(planned.inside(shape, few, keep), Status.CLAMP_INSIDE, Status.OK)
-    ways = planned.straight(shape, rod, few)
-    straight = np.stack([gains.expected(entered, _COMPARED) for entered in ways])
-    gain = np.where(status == Status.OK, np.mean(straight, axis=0), 0.0)
+    ways = planned.straight(rod, few)
+    straight = gains.expected([points for way in ways for points in way], _COMPARED)
+    gain = np.where(status == Status.OK, straight.reshape(len(ways), -1).mean(axis=0), 0.0)
     contacts, scanned = ways[0], np.zeros(len(gain), dtype=bool)
     while not np.any(scanned & (status == Status.OK)):
         open_ = np.flatnonzero((status == Status.OK) & ~scanned)
@@ -188,7 +189,8 @@ def next_sweep(
         status[chosen[overstrained]] = Status.OVERSTRAINED
         sound = found.in_contact & (found.status == Status.OK)
         touched = [point[rows] for point, rows in zip(found.point, sound, strict=True)]
-        modelled, relied = gains.expected(touched, _CONTACTS), _relied(shape, touched)
+        modelled = gains.expected(touched, _CONTACTS)
+        relied = planned.relied(touched, shape.extent)
         gain[chosen] += relied * (modelled - gain[chosen])
         gain[chosen[overstrained]] = 0.0
         for row, points in zip(chosen.tolist(), touched, strict=True):
@@ -197,25 +199,14 @@ def next_sweep(
     return NextSweep(trails, order, gain, gains.unknown, status, scanned, contacts)
 
 
-def _relied(
-    shape: Shape, contacts: Sequence[Float[np.ndarray, "_ 3"]]
-) -> Float[np.ndarray, "sweeps"]:
-    """How far sweeps that touch the mean surface at such points can be relied on; fully where they
-    touch nothing.
-    """
-    count = [len(points) for points in contacts]
-    deviation = shape.deviation(np.concatenate(contacts)) if any(count) else np.zeros(0)
-    sweep = np.repeat(np.arange(len(count)), count)
-    mean = np.bincount(sweep, deviation, len(count)) / np.maximum(count, 1)
-    return 1 / (1 + (mean / (_RELIED * shape.extent)) ** 2)
-
-
 class _Planned(NamedTuple):
     """The present surface as a lattice, for rods to touch."""
 
     surface: Lattice
     places: Float[np.ndarray, "n 3"]
     """Points spread evenly over it."""
+    deviation: Float[np.ndarray, "n"]
+    """What the surface is uncertain by there."""
 
     @classmethod
     def of(cls, shape: Shape) -> "_Planned":
@@ -231,7 +222,23 @@ class _Planned(NamedTuple):
         points = low + spacing * near
         points = _onto(surface, points)
         points = points[np.abs(_level(surface, points)) < _MISSED * thick]
-        return cls(surface, points[spread_out(points, _PLACES)])
+        places = points[spread_out(points, _PLACES)]
+        return cls(surface, places, shape.deviation(places))
+
+    def uncertainty(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
+        """What the surface is uncertain by next to points: at the nearest of its places."""
+        return self.deviation[KDTree(self.places).query(points)[1]]
+
+    def relied(
+        self, contacts: Sequence[Float[np.ndarray, "_ 3"]], extent: float
+    ) -> Float[np.ndarray, "sweeps"]:
+        """How far sweeps with contacts at such points of the mean surface can be relied on; fully
+        where they touch nothing.
+        """
+        count = [len(points) for points in contacts]
+        sweep = np.repeat(np.arange(len(count)), count)
+        total = np.bincount(sweep, self.uncertainty(np.concatenate(contacts)), len(count))
+        return 1 / (1 + (total / np.maximum(count, 1) / (_RELIED * extent)) ** 2)
 
     def inside(self, shape: Shape, trails: Trail, clearance: float) -> Bool[np.ndarray, "m"]:
         """Trails whose clamp may come too close to the object."""
@@ -241,21 +248,15 @@ class _Planned(NamedTuple):
         deviation = np.sqrt(shape.level.variance(closest))
         return np.asarray(ndtr((clearance - level.min(axis=1)) / deviation) > _RISK)
 
-    def straight(
-        self, shape: Shape, rod: Rod, trails: Trail
-    ) -> list[list[Float[np.ndarray, "_ 3"]]]:
+    def straight(self, rod: Rod, trails: Trail) -> list[list[Float[np.ndarray, "_ 3"]]]:
         """For the surface and each lower one, and each trail: points of the surface next to where
         the free rod enters, as a rod that is driven on is bent until it touches there.
         """
         lines = free_lines(rod, trails, _ALONG).reshape(*trails.shape, _ALONG, 3)
         level = _level(self.surface, lines)
-        near = np.flatnonzero(level <= 0)
-        deviation = np.zeros(level.size)
-        deviation[near] = shape.deviation(lines.reshape(-1, 3)[near])
-        return [
-            self._entered(lines, level <= -lower * deviation.reshape(level.shape))
-            for lower in _LOWER
-        ]
+        inside, deviation = level <= 0, np.zeros_like(level)
+        deviation[inside] = self.uncertainty(lines[inside])
+        return [self._entered(lines, level <= -lower * deviation) for lower in _LOWER]
 
     def _entered(
         self, lines: Float[np.ndarray, "m n k 3"], inside: Bool[np.ndarray, "m n k"]
@@ -328,9 +329,8 @@ class _Gains(NamedTuple):
     contacts: Float[np.ndarray, "k 3"]
     """Some of those so far."""
     places: Coordinates
-    rows: Float[np.ndarray, "m n"]
-    """How values at the places depend on the level's unknowns, before and after the contacts."""
-    left: Float[np.ndarray, "m n"]
+    known: Float[np.ndarray, "n m"]
+    """What the contacts so far take from the places' covariance with the level's unknowns."""
     variance: Float[np.ndarray, "n"]
     tolerance: float | None
 
@@ -345,8 +345,8 @@ class _Gains(NamedTuple):
         left = solve_triangular(found.root, rows, lower=True, check_finite=False)
         variance = found.basis.kernel.variance + np.sum(left**2 - rows**2, axis=0)
         contacts = shape.sites.point[spread_out(shape.sites.point, _KEPT)]
-        variance = np.maximum(variance, 0)
-        return cls(shape, stated, contacts, places, rows, left, variance, tolerance)
+        variance, known = np.maximum(variance, 0), rows - found.solved(rows)
+        return cls(shape, stated, contacts, places, known.T, variance, tolerance)
 
     @property
     def unknown(self) -> float:
@@ -368,19 +368,19 @@ class _Gains(NamedTuple):
         decrease = np.zeros(len(few))
         if not any(map(len, few)):
             return decrease
-        points = np.concatenate(few)
+        points, which = np.unique(np.concatenate(few), axis=0, return_inverse=True)
         level, found = self.shape.level, self.shape.level.found
         here, kernel = level.places(points), found.basis.kernel
         rows = found.basis.jets(here)
         left = solve_triangular(found.root, rows, lower=True, check_finite=False)
         cross = covariance_of_values(kernel, self.places, here)
-        cross += self.left.T @ left - self.rows.T @ rows
-        errors, first = self._errors(points), 0
+        cross -= self.known @ rows
+        errors, unknown, first = self._errors(points), self.unknown, 0
         for number, each in enumerate(few):
             if not len(each):
                 continue
-            ours = slice(first, first + len(each))
-            columns, first = slice(JET * first, JET * ours.stop), ours.stop
+            ours = which[first : first + len(each)]
+            columns, first = columns_of(ours), first + len(each)
             own = covariance(kernel, here.part(ours), here.part(ours))
             own += left[:, columns].T @ left[:, columns] - rows[:, columns].T @ rows[:, columns]
             own += block_diag(*errors[ours])
@@ -388,7 +388,7 @@ class _Gains(NamedTuple):
             told = solve_triangular(root, cross[:, columns].T, lower=True, check_finite=False)
             variance = np.maximum(self.variance - np.sum(told**2, axis=0), 0)
             stated = self.stated.touched(self.contacts, each)
-            decrease[number] = self.unknown - self._unknown(stated, variance)
+            decrease[number] = unknown - self._unknown(stated, variance)
         return decrease
 
     def _errors(self, points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "k 4 4"]:

@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from touched import on_surface, rings
+from touched import NORMAL, POINT, on_surface, rings
 
 import vibrissa as vb
 
@@ -306,3 +306,35 @@ def test_wrong_arguments(options, said):
 def test_resolution_that_would_take_all_memory(ellipsoid):
     with pytest.raises(ValueError, match="resolution = 1e-05"):
         ellipsoid.mesh(1e-5)
+
+
+def test_contacts_on_sharp_edges_are_kept():
+    """A rod that slides round the edge of a box touches one place, with ever other normals. A first
+    surface that is round there explains only 55 of 198.
+    """
+    x, y, z = np.eye(3)
+    edges = [(-z, -x, y, 0.012), (z, x, y, 0), (x, z, y, -0.006), (x, y, z, -0.006)]
+    edges += [
+        (x, y, z, 0.006),
+        (-z, -x, -y, 0.012),
+        (x, -z, -y, 0.012),
+        (-z, -x, y, 0),
+        (z, x, y, 0.006),
+    ]
+    half, rng, parts = np.array([0.01103, 0.014, 0.0148]), np.random.default_rng(7), []
+    angle = np.linspace(0.02, 1.1, 22)[:, None]
+    for first, then, along, place in edges:
+        point = half * (first + then) + place * along
+        normal = np.cos(angle) * first + np.sin(angle) * then + NORMAL * rng.normal(size=(22, 3))
+        parts.append(
+            vb.Contacts(
+                point + POINT * rng.normal(size=(22, 3)),
+                normal / np.linalg.norm(normal, axis=1)[:, None],
+                np.tile(POINT**2 * np.eye(3), (22, 1, 1)),
+                np.tile(NORMAL**2 * np.eye(3), (22, 1, 1)),
+            )
+        )
+    shape = vb.fit_shape(parts)
+    assert shape.sites.size.sum() == 198
+    touched = np.concatenate([part.point for part in parts])
+    assert np.median(np.abs(shape.distance(touched))) < 2 * POINT

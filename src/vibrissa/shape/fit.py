@@ -57,6 +57,8 @@ _ROUNDS = 3
 """Of the first surface: one without curvatures, one with them and new scales, one more with new
 weights.
 """
+_MOSTLY = 0.5
+"""Share of contacts that a first surface must explain to be trusted with telling outliers."""
 _STUDENT = 4.0
 """Degrees of freedom of the contacts' errors: a few in a hundred are far off, at starts and ends of
 contacts and where the rod snaps over an edge.
@@ -125,7 +127,7 @@ def fit_shape(
     # Before neighbours are pooled, as one outlier spoils its pool.
     judged = doubtful(given, first, first.curvature)
     sound = ~outliers_of(given, judged, first, first.curvature)
-    sites = pooled(given.part(sound) if sound.sum() >= LEAST else given)
+    sites = pooled(given.part(sound) if sound.sum() > _MOSTLY * len(sound) else given)
     level, data, fit = _second(_carried(part, first, sites), first, ball, expected)
     if not given.known:
         fit = _rescaled(level, data, fit)

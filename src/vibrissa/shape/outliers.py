@@ -140,8 +140,6 @@ def _sweeps(others: list[LeftOut], noise: Noise, sites: Sites, extent: float) ->
 
 def _groups(sites: Sites, extent: float) -> list[str]:
     """Contacts in groups far apart."""
-    if len(sites.point) == 1:
-        return []
     label = fcluster(linkage(sites.point), _GAP * extent, "distance") - 1
     count = int(label.max()) + 1
     sizes = np.bincount(label, weights=sites.size)

@@ -2,10 +2,11 @@
 
 The surface is a Gaussian process, so that what contacts will leave open depends on where they will
 be, not on what they will say. Where they will be, the forward model tells on the present surface.
-All candidates are compared by a rod that stays straight and touches where it enters the object;
-the best of them are scanned. Far from contacts the mean surface may be off by a fifth of the
-object, and the sweep that promises most on it alone is often one that finds little, or nothing.
-There, what a straight rod promises counts, on average over the mean surface and lower ones.
+All candidates are compared by a rod that stays straight and touches where it enters the object,
+or where it is deepest inside; the best of them by either are scanned. Far from contacts the mean
+surface may be off by a fifth of the object, and the sweep that promises most on it alone is often
+one that finds little, or nothing. There, what a straight rod promises that touches where it enters
+counts, on average over the mean surface and lower ones.
 """
 
 from __future__ import annotations
@@ -45,10 +46,8 @@ _POSITIONS, _ALONG = 16, 16
 """Clamp positions of a candidate, and points along a straight rod."""
 _MODELLED = 12
 """Candidates that are scanned at a time."""
-_CONTACTS, _COMPARED = 8, 4
-"""Contacts of a sweep that are expected to say something, as neighbours say the same, and those of
-a candidate that is only compared with others: of the first twelve, ten to twelve are the same.
-"""
+_CONTACTS = 8
+"""Contacts of a sweep that are expected to say something: neighbours say the same."""
 _LOWER = 0.0, 0.25, 0.5
 """Deviations by which the surface may be lower where a straight rod enters it."""
 _RELIED = 0.06
@@ -175,12 +174,15 @@ def next_sweep(
     few = Trail.stack([between(number, trails[each], rows) for each in range(trails.shape[0])])
     status = np.where(planned.inside(shape, few, keep), Status.CLAMP_INSIDE, Status.OK)
     ways = planned.straight(rod, few)
-    straight = gains.expected([points for way in ways for points in way], _COMPARED)
-    gain = np.where(status == Status.OK, straight.reshape(len(ways), -1).mean(axis=0), 0.0)
+    straight = gains.expected([points for way in ways for points in way])
+    deepest, *enters = straight.reshape(len(ways), -1)
+    either = np.stack([deepest, np.mean(enters, axis=0)])
+    rank = np.min(np.argsort(np.argsort(-either, axis=1, kind="stable"), axis=1), axis=0)
+    gain = np.where(status == Status.OK, either[1], 0.0)
     contacts, scanned = ways[0], np.zeros(len(gain), dtype=bool)
     while not np.any(scanned & (status == Status.OK)):
         open_ = np.flatnonzero((status == Status.OK) & ~scanned)
-        chosen = open_[np.argsort(-gain[open_], kind="stable")[:_MODELLED]]
+        chosen = open_[np.argsort(rank[open_], kind="stable")[:_MODELLED]]
         if not len(chosen):
             break
         found = planned.scanned(rod, few, chosen, friction)
@@ -189,7 +191,7 @@ def next_sweep(
         status[chosen[overstrained]] = Status.OVERSTRAINED
         sound = found.in_contact & (found.status == Status.OK)
         touched = [point[rows] for point, rows in zip(found.point, sound, strict=True)]
-        modelled = gains.expected(touched, _CONTACTS)
+        modelled = gains.expected(touched)
         relied = planned.relied(touched, shape.extent)
         gain[chosen] += relied * (modelled - gain[chosen])
         gain[chosen[overstrained]] = 0.0
@@ -249,21 +251,24 @@ class _Planned(NamedTuple):
         return np.asarray(ndtr((clearance - level.min(axis=1)) / deviation) > _RISK)
 
     def straight(self, rod: Rod, trails: Trail) -> list[list[Float[np.ndarray, "_ 3"]]]:
-        """For the surface and each lower one, and each trail: points of the surface next to where
-        the free rod enters, as a rod that is driven on is bent until it touches there.
+        """For each trail, points of the surface next to where the free rod is deepest inside; then,
+        for the surface and each lower one, next to where it enters, as a rod that is driven far
+        beyond an end is bent until it touches there.
         """
         lines = free_lines(rod, trails, _ALONG).reshape(*trails.shape, _ALONG, 3)
         level = _level(self.surface, lines)
+        deepest = np.minimum(level.min(axis=2, keepdims=True), 0.0)
         inside, deviation = level <= 0, np.zeros_like(level)
         deviation[inside] = self.uncertainty(lines[inside])
-        return [self._entered(lines, level <= -lower * deviation) for lower in _LOWER]
+        lower = [level <= -lower * deviation for lower in _LOWER]
+        return [self._touched(lines, inside) for inside in (level == deepest, *lower)]
 
-    def _entered(
-        self, lines: Float[np.ndarray, "m n k 3"], inside: Bool[np.ndarray, "m n k"]
+    def _touched(
+        self, lines: Float[np.ndarray, "m n k 3"], there: Bool[np.ndarray, "m n k"]
     ) -> list[Float[np.ndarray, "_ 3"]]:
-        """Points of the surface next to where lines enter."""
-        trail, row = np.nonzero(inside.any(axis=2))
-        points = lines[trail, row, np.argmax(inside[trail, row], axis=1)]
+        """Points of the surface next to the first point of each line that is there."""
+        trail, row = np.nonzero(there.any(axis=2))
+        points = lines[trail, row, np.argmax(there[trail, row], axis=1)]
         points = _onto(self.surface, points)
         return [points[trail == number] for number in range(len(lines))]
 
@@ -360,11 +365,9 @@ class _Gains(NamedTuple):
         scaled = self.tolerance / (np.sqrt(2) * np.maximum(deviation, 1e-300))
         return float(np.mean(erfc(scaled)))
 
-    def expected(
-        self, contacts: Sequence[Float[np.ndarray, "_ 3"]], most: int
-    ) -> Float[np.ndarray, "sweeps"]:
-        """Expected decrease by each sweep with contacts at such points, of which so many count."""
-        few = [points[:: -(-len(points) // most) or 1] for points in contacts]
+    def expected(self, contacts: Sequence[Float[np.ndarray, "_ 3"]]) -> Float[np.ndarray, "sweeps"]:
+        """Expected decrease by each sweep with contacts at such points."""
+        few = [points[:: -(-len(points) // _CONTACTS) or 1] for points in contacts]
         decrease = np.zeros(len(few))
         if not any(map(len, few)):
             return decrease

@@ -32,13 +32,13 @@ def stand(turn: Rotation, offset: float) -> vb.Trail:
 def felt(
     trail: vb.Trail, rng: np.random.Generator, touched: vb.surfaces.Surface = OBJECT
 ) -> vb.Contacts:
-    """What the rod touches there, with errors."""
+    """Where the rod's centre line touches there, with errors."""
     scan = vb.scan(WIRE, touched, trail)
     rows = scan.in_contact & (scan.status == vb.Status.OK)
     count = int(rows.sum())
     normal = scan.normal[rows] + NORMAL * rng.normal(size=(count, 3))
     return vb.Contacts(
-        scan.point[rows] + POINT * rng.normal(size=(count, 3)),
+        scan.point[rows] + scan.offset * scan.normal[rows] + POINT * rng.normal(size=(count, 3)),
         normal / np.linalg.norm(normal, axis=1)[:, None],
         np.tile(POINT**2 * np.eye(3), (count, 1, 1)),
         np.tile(NORMAL**2 * np.eye(3), (count, 1, 1)),

@@ -347,10 +347,9 @@ class _Gains(NamedTuple):
         stated = Stated.at(shape.level, points, shape.sites.point, shape.extent)
         places, found = shape.level.places(points), shape.level.found
         rows = found.basis.values(places)
-        left = solve_triangular(found.root, rows, lower=True, check_finite=False)
-        variance = found.basis.kernel.variance + np.sum(left**2 - rows**2, axis=0)
+        known = rows - found.solved(rows)
+        variance = np.maximum(found.basis.kernel.variance - np.sum(rows * known, axis=0), 0)
         contacts = shape.sites.point[spread_out(shape.sites.point, _KEPT)]
-        variance, known = np.maximum(variance, 0), rows - found.solved(rows)
         return cls(shape, stated, contacts, places, known.T, variance, tolerance)
 
     @property

@@ -24,9 +24,9 @@ SURFACES = {"ellipsoid": ELLIPSOID, "block": BLOCK}
 
 
 @cache
-def fitted(name: str, sweeps: int = 16) -> vb.Shape:
+def fitted(name: str, sweeps: int = 16, seed: int = 3) -> vb.Shape:
     """Kept, as a fit takes seconds."""
-    return vb.fit_shape(rings(SURFACES[name], np.random.default_rng(3), sweeps=sweeps))
+    return vb.fit_shape(rings(SURFACES[name], np.random.default_rng(seed), sweeps=sweeps))
 
 
 @pytest.fixture(scope="module")
@@ -40,10 +40,13 @@ def ellipsoid() -> vb.Shape:
 def test_surface_is_within_its_interval(name, mean, normals):
     surface, shape = SURFACES[name], fitted(name)
     points = samples(surface)
-    away, deviation = np.abs(shape.distance(points)), shape.deviation(points)
-    assert away.mean() < mean
-    assert 0.9 < np.mean(away < 1.96 * deviation) <= 1.0
-    assert np.median(deviation) < 0.03e-3
+    held = []
+    for each in (shape, fitted(name, seed=4), fitted(name, seed=5)):
+        away, deviation = np.abs(each.distance(points)), each.deviation(points)
+        assert away.mean() < mean
+        assert np.median(deviation) < 0.03e-3
+        held.append(np.mean(away < 1.96 * deviation))
+    assert 0.93 < np.mean(held) < 0.99
     cosine = np.sum(shape.normal(points) * surface.normal(points), axis=1)
     assert np.degrees(np.arccos(np.median(cosine))) < normals
 
@@ -59,13 +62,12 @@ def test_distance_is_euclidean_far_from_the_surface(ellipsoid):
     np.testing.assert_allclose(ellipsoid.distance(away), ELLIPSOID.distances(away), atol=0.2e-3)
 
 
-def test_gradient_is_that_of_the_level(ellipsoid):
-    points, step = samples(ELLIPSOID, 5) * 1.02, 1e-6
-    level = ellipsoid.level
+def test_gradient_is_that_of_the_distance(ellipsoid):
+    points, step = samples(ELLIPSOID, 5) * 1.02, 1e-5
     for axis in np.eye(3):
-        change = level.values(points + step * axis) - level.values(points - step * axis)
+        change = ellipsoid.distance(points + step * axis) - ellipsoid.distance(points - step * axis)
         slope = ellipsoid.gradient(points) @ axis
-        np.testing.assert_allclose(change / (2 * step), slope, atol=1e-6)
+        np.testing.assert_allclose(change / (2 * step), slope, atol=1e-4)
 
 
 def test_mesh_lies_on_the_surface_and_is_closed(ellipsoid):
@@ -137,7 +139,7 @@ def test_far_from_contacts_little_is_known_and_missing_rods_say_more():
     away = [np.abs(shape.distance(points[far])) for shape in (near, known)]
     assert away[1].mean() < 0.7 * away[0].mean()
     assert np.mean(away[1] < 1.96 * known.deviation(points[far])) > 0.93
-    assert (known.level.values(lines.reshape(-1, 3)) > -0.3e-3).all()
+    assert (known.distance(lines.reshape(-1, 3)) > -0.3e-3).all()
 
 
 def test_rods_that_cannot_have_missed_are_named():

@@ -96,7 +96,10 @@ def test_what_contacts_take_away_is_that_of_plain_conditioning(known):
     assert len(found.basis.sites.value) == len(shape.sites.point)
     places, new = (on_surface(OBJECT, 0.02 * rng.normal(size=(count, 3))) for count in (30, 6))
     gains = _Gains.of(shape, places, None)
-    both = shape.level.places(np.concatenate([places, new]))
+    normal = shape.normal(new)
+    raised = new + shape.level.above * normal
+    above = shape.level.feet(places, shape.extent).raised
+    both = shape.level.places(np.concatenate([above, raised]))
     prior = covariance(found.basis.kernel, both, both)
     among = found.basis.root @ found.basis.root.T
     weights = np.linalg.solve(among, covariance(found.basis.kernel, found.basis.sites, both)).T
@@ -104,10 +107,10 @@ def test_what_contacts_take_away_is_that_of_plain_conditioning(known):
     of_sites = found.basis.root @ np.linalg.solve(precision, found.basis.root.T)
     given = prior + weights @ (of_sites - among) @ weights.T
     told, values = np.arange(4 * 30, 4 * 36), 4 * np.arange(30)
-    seen = given[np.ix_(told, told)] + block_diag(*gains._errors(new))
+    seen = given[np.ix_(told, told)] + block_diag(*gains._errors(raised, normal))
     cross = given[np.ix_(values, told)]
     left = np.diag(given)[values] - np.sum(cross * np.linalg.solve(seen, cross.T).T, axis=1)
-    contacts = np.concatenate([shape.sites.point, new])
+    contacts = np.concatenate([shape.sites.touched, new])
     away = KDTree(contacts).query(places)[0]
     aside = Stated.at(shape.level, places, contacts, shape.extent).aside
     stated = gains.stated._replace(aside=np.minimum(gains.stated.aside, aside), away=away)

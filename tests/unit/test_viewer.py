@@ -450,7 +450,7 @@ def test_the_surface_of_a_stream_grows(
 
     def give(rows: range) -> None:
         for first in rows[::60]:
-            chosen = slice(first, first + 60, 3)
+            chosen = slice(first, first + 60, 2)
             sink.contacts(stamp[chosen], raw, found[chosen])
             time.sleep(0.05)
 

@@ -113,6 +113,7 @@ def data():
         np.ones(14, int),
         np.repeat([0, 1], 7),
         np.ones(14),
+        np.zeros(14),
     )
     bent = rng.normal(size=(14, 3, 3))
     return sites, Noise.of(sites, bent + np.swapaxes(bent, 1, 2), np.ones(14), 3.0, 2.0)
@@ -162,7 +163,7 @@ def test_space_known_to_be_empty_has_the_moments_of_the_truncated_level(data):
     target = -ball.at(sites.point) + np.column_stack([np.zeros(14), sites.normal])
     basis = Basis.of(KERNEL, places)
     told = information(Data.of(basis, places, target), noise)
-    level = Level.of(ball, None, told.posterior(basis))
+    level = Level.of(ball, None, told.posterior(basis), 0.0)
     empty = np.array([[0.3, 0.2, -0.5], [-0.4, 0.6, 0.1]])
     asked = np.concatenate([empty, [[0.1, 0.3, -0.2]]])
     known = basis.values(Coordinates.of(asked))

@@ -86,7 +86,7 @@ def _around(trail: vb.Trail, shape: Shape) -> vb.Trail:
     """The trails turned about the contacts' middle by the rotations of an icosahedron."""
     from scipy.spatial.transform import Rotation  # noqa: PLC0415
 
-    middle = (shape.sites.point.min(axis=0) + shape.sites.point.max(axis=0)) / 2
+    middle = (shape.sites.touched.min(axis=0) + shape.sites.touched.max(axis=0)) / 2
     turns = Rotation.create_group("I")
     return vb.Trail.stack([trail.placed(turn, middle - turn.apply(middle)) for turn in turns])
 

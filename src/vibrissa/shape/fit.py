@@ -59,6 +59,10 @@ weights.
 """
 _MOSTLY = 0.5
 """Share of contacts that a first surface must explain to be trusted with telling outliers."""
+_ABOVE = 0.025
+"""Height above the surface at which contacts are used, relative to the extent. There edges are
+round and rounded edges rounder; concave ones get sharper.
+"""
 _STUDENT = 4.0
 """Degrees of freedom of the contacts' errors: a few in a hundred are far off, at starts and ends of
 contacts and where the rod snaps over an edge.
@@ -117,6 +121,7 @@ def fit_shape(
     """
     parts, lines = several(contacts), swept_points(swept)
     given = gathered(parts)
+    given = given.raised(_ABOVE * given.extent)
     length = None if length_scale is None else positive(length_scale, "length_scale")
     agreeing = np.flatnonzero(agree_with_neighbours(given))
     if len(agreeing) < LEAST:
@@ -136,15 +141,15 @@ def fit_shape(
     level = level.knowing(halves[0].and_that(halves[1]).posterior(basis))
     others = left_out(level.found, data, noise)
     findings = findings_of(others, noise, sites, given.extent)
-    departures = Departures.of(sites.point, level.jets(sites.point), fit.curvature, given.extent)
+    jets = level.jets(sites.point) - np.array([level.above, 0, 0, 0])
+    departures = Departures.of(sites.touched, jets, fit.curvature, given.extent)
     level = level._replace(
         doubt=_excess(others, 0.95),
         agreement=agreement(basis, data, halves, len(np.unique(given.sweep))),
         departures=departures,
     )
     if lines is not None:
-        places = level.places(sites.point)
-        level, refuted = emptied(level, places, data.target, noise, lines, given.extent)
+        level, refuted = emptied(level, sites, data.target, noise, lines, given.extent)
         findings = findings + refuted
     outlier = outliers_of(given, judged, level, first.curvature)
     findings = thinned(given) + mostly_outliers(given, outlier) + findings
@@ -300,7 +305,8 @@ def _surface(fit: Fitting, ball: Ball, folds: Folds | None, carriers: int) -> tu
     places = places_of(folds, fit.sites.point)
     basis = Basis.of(fit.scales.kernel(fit.extent), places.part(spread_out(places.value, carriers)))
     data = Data.of(basis, places, fit.target(ball))
-    return Level.of(ball, folds, information(data, fit.noise()).posterior(basis)), data
+    found = information(data, fit.noise()).posterior(basis)
+    return Level.of(ball, folds, found, float(fit.sites.above[0])), data
 
 
 def _every(count: int, most: int) -> Int[np.ndarray, "rows"]:

@@ -225,7 +225,7 @@ def _traced(
     touched.
     """
     if ends is None:
-        contacts = shape.sites.point
+        contacts = shape.sites.touched
         near = contacts[np.argmin(np.abs((contacts - cut.point) @ cut.normal))]
         begin = _onto(shape, cut, cut.point + cut.within(near - cut.point))
         return _walked(shape, cut, begin, begin, 1.0)
@@ -253,9 +253,9 @@ def _onto(shape: Shape, cut: _Plane, point: Float[np.ndarray, "3"]) -> Float[np.
     """The place of the surface in the plane next to a point of the plane."""
     longest = 2 * _STEP * shape.extent
     for _ in range(_ROUNDS):
-        jet = shape.level.jets(point[None])[0]
-        slope = cut.within(jet[1:])
-        move = -jet[0] * slope / max(float(slope @ slope), _FLAT)
+        feet = shape.level.feet(point[None], shape.extent)
+        slope = cut.within(feet.normal[0])
+        move = -feet.distance[0] * slope / max(float(slope @ slope), _FLAT)
         size = float(np.linalg.norm(move))
         point = point + move * min(1.0, longest / max(size, 1e-300))
         if size < _SETTLED * shape.extent:

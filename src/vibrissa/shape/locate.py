@@ -16,7 +16,7 @@ from scipy.stats import chi2
 
 from vibrissa.contacts import Contacts
 from vibrissa.shape.poses import Equations, Poses, errors, fitted, likeness
-from vibrissa.shape.sites import Gathered, gathered, spread_out
+from vibrissa.shape.sites import Gathered, gathered, outside, spread_out
 from vibrissa.shape.starts import samples, starts
 from vibrissa.shape.valleys import apart, bounds
 from vibrissa.surfaces import Placed, Surface
@@ -147,7 +147,7 @@ def locate(surface: Surface, contacts: Contacts | Sequence[Contacts]) -> Locatio
 
 def located(surface: Surface, everything: Gathered) -> Location:
     """`locate` for contacts that were gathered."""
-    given = _spread(everything.raised(), _MOST)
+    given = _spread(outside(everything), _MOST)
     few = _spread(given, _FEW)
     sampled = samples(surface, given.extent, np.random.default_rng(0))
     poses, found = fitted(surface, few, starts(few, sampled))

@@ -23,6 +23,8 @@ _MARGIN, _WIDER, _WIDEST = 0.12, 0.35, 3
 """Free space around the contacts, relative to the extent, by how much the box grows where the
 surface leaves it, and how often.
 """
+_AROUND = 3.0
+"""Spacings of a lattice from the surface within which its values are distances, not only levels."""
 _MOST = 50_000_000
 """Nodes of a lattice: half a gigabyte of values."""
 
@@ -128,7 +130,8 @@ def lattice_of(
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "x y z"]]:
     """Lowest corner and values of the level at the nodes of a lattice around the surface."""
     low, counts = box_of(level, contacts, step, extent)
-    return low, level.values(lattice_points(low, step, counts)).reshape(counts)
+    points = lattice_points(low, step, counts)
+    return low, level.distances(points, _AROUND * step, extent).reshape(counts)
 
 
 def extracted(
@@ -158,16 +161,9 @@ def extracted(
             np.zeros(0),
             np.zeros(0, dtype=bool),
         )
-    for _ in range(2):
-        jets = level.jets(vertices)
-        squared = np.maximum(np.sum(jets[:, 1:] ** 2, axis=1), 0.1)
-        moved = (jets[:, 0] / squared)[:, None] * jets[:, 1:]
-        length = np.linalg.norm(moved, axis=1, keepdims=True)
-        vertices = vertices - moved * np.minimum(1.0, 0.5 * step / np.maximum(length, 1e-300))
-    normal = level.jets(vertices)[:, 1:]
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    faces = faces.astype(np.int64)
-    faces = _outwards(vertices, faces, normal)
+    feet = level.feet(vertices, extent)
+    vertices, normal = feet.place, feet.normal
+    faces = _outwards(vertices, faces.astype(np.int64), normal)
     deviation = deviations(vertices)
     near = _touched(vertices, faces, contacts, 0.1 * extent)
     return ShapeMesh(vertices, faces, normal, deviation, (deviation <= known) & near)

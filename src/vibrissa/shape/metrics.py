@@ -128,7 +128,7 @@ def shape_errors(
     """
     positive(near, "near")
     positive(tolerance, "tolerance")
-    touched = shape.sites.point if contacts is None else _finite_points(contacts)
+    touched = shape.sites.touched if contacts is None else _finite_points(contacts)
     points = points_over(
         truth,
         touched,

@@ -113,13 +113,15 @@ def _errors(
     bent = curvature @ covariance[:, :3, :3]
     second = np.zeros((len(normal), JET, 1))
     second[:, 0, 0] = np.sqrt(np.maximum(0.5 * np.einsum("nij,nji->n", bent, bent), 0))
-    values, axes = np.linalg.eigh(covariance)
-    # The symmetric root, so that errors of neighbours go the same way.
+    # The symmetric root, so that errors of neighbours go the same way; of points relative to the
+    # extent, so that units do not matter.
+    unit = np.repeat([extent, 1.0], 3)
+    values, axes = np.linalg.eigh(covariance / np.outer(unit, unit))
     root = (axes * np.sqrt(np.maximum(values, 0))[:, None]) @ np.swapaxes(axes, 1, 2)
     alone = np.zeros((len(normal), JET, JET))
     alone[:, 1:, 1:] = _UNIT**2 * normal[:, :, None] * normal[:, None]
     least = np.diag([(_FLOOR[0] * extent) ** 2, *[_FLOOR[1] ** 2] * 3])
-    return np.concatenate([rows @ root, second], axis=2), alone + least
+    return np.concatenate([rows * unit @ root, second], axis=2), alone + least
 
 
 def lifted(

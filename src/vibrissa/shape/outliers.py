@@ -21,6 +21,12 @@ _OFF, _TILTED = 5e-4, 0.03
 """Errors of value, relative to the extent, and normal that do not make a contact gross, however
 precise it claims to be.
 """
+_USUAL = 3.4
+"""Median of a squared residual: chi-squared with four degrees of freedom."""
+_LOOKED = 200
+"""Nearest contacts among which those of other sweeps are looked for: at an edge a sweep may leave
+80 within half a millimetre.
+"""
 _NEIGHBOURS, _APART = 8, 3.0
 """Neighbours that a contact is compared with, and deviations by which they may differ."""
 _ROUND = 0.05
@@ -52,11 +58,25 @@ def outliers_of(
     given: Gathered, rows: Int[np.ndarray, "k"], level: Level, curvature: Curvature
 ) -> Bool[np.ndarray, "n"]:
     """Which of these contacts have a place or normal off the surface by far more than stated, its
-    own uncertainty included.
+    own uncertainty included, and by far more than their neighbours of other sweeps: where these are
+    off as well, as at edges sharper than the level can follow, it is the surface that is wrong.
     """
-    found = np.zeros(len(given.point), dtype=bool)
-    found[rows] = _squares(given, rows, level, curvature, sure=False) > _GROSS
-    return found
+    square, found = np.zeros((2, len(given.point)))
+    square[rows] = _squares(given, rows, level, curvature, sure=False)
+    off = np.flatnonzero(square > _GROSS)
+    found[off] = square[off] > _GROSS * np.maximum(_around(given, square, off) / _USUAL, 1.0)
+    return found > 0
+
+
+def _around(
+    given: Gathered, square: Float[np.ndarray, "n"], rows: Int[np.ndarray, "k"]
+) -> Float[np.ndarray, "k"]:
+    """Median squared residual of the contacts of other sweeps next to some; 0 without any."""
+    _, near = KDTree(given.point).query(given.point[rows], min(_LOOKED, len(square)))
+    other = given.sweep[near] != given.sweep[rows, None]
+    other &= np.cumsum(other, axis=1) <= _NEIGHBOURS
+    pairs = zip(near, other, strict=True)
+    return np.array([np.median(square[here[use]]) if use.any() else 0.0 for here, use in pairs])
 
 
 def agree_with_neighbours(given: Gathered) -> Bool[np.ndarray, "n"]:
@@ -82,8 +102,8 @@ def _squares(
     """Squared residuals of some contacts in their errors, as if the surface were sure or not."""
     point = given.point[rows]
     jets, bent = level.jets(point), curvature(point)
-    lift = lifted(given.covariance[rows], bent)
-    residual = np.column_stack([lift - jets[:, 0], given.normal[rows] - jets[:, 1:]])
+    wanted = level.above + lifted(given.covariance[rows], bent)
+    residual = np.column_stack([wanted - jets[:, 0], given.normal[rows] - jets[:, 1:]])
     own = Noise.errors(given.normal[rows], given.covariance[rows], bent, given.extent)
     own += np.diag([(_OFF * given.extent) ** 2, *[_TILTED**2] * 3])
     square = squared(residual, own)
@@ -140,7 +160,7 @@ def _sweeps(others: list[LeftOut], noise: Noise, sites: Sites, extent: float) ->
 
 def _groups(sites: Sites, extent: float) -> list[str]:
     """Contacts in groups far apart."""
-    label = fcluster(linkage(sites.point), _GAP * extent, "distance") - 1
+    label = fcluster(linkage(sites.touched), _GAP * extent, "distance") - 1
     count = int(label.max()) + 1
     sizes = np.bincount(label, weights=sites.size)
     if count == 1 or np.sort(sizes)[-2] < max(_FEW, _SMALL * sizes.sum()):

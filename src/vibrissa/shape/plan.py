@@ -213,7 +213,7 @@ class _Planned(NamedTuple):
     @classmethod
     def of(cls, shape: Shape) -> "_Planned":
         """Of a surface, closed as its mean is."""
-        low, counts = box_of(shape.level, shape.sites.point, shape.extent / 20, shape.extent)
+        low, counts = box_of(shape.level, shape.sites.touched, shape.extent / 20, shape.extent)
         spacing = (counts - 1) * shape.extent / 20 / (_NODES - 1)
         values = _levels(shape.level, low, spacing)
         surface = Lattice(low, spacing, values)
@@ -344,12 +344,12 @@ class _Gains(NamedTuple):
         cls, shape: Shape, points: Float[np.ndarray, "n 3"], tolerance: float | None
     ) -> "_Gains":
         """At points of the surface."""
-        stated = Stated.at(shape.level, points, shape.sites.point, shape.extent)
-        places, found = shape.level.places(points), shape.level.found
+        stated = Stated.at(shape.level, points, shape.sites.touched, shape.extent)
+        places, found = shape.level.places(stated.feet.raised), shape.level.found
         rows = found.basis.values(places)
         known = rows - found.solved(rows)
         variance = np.maximum(found.basis.kernel.variance - np.sum(rows * known, axis=0), 0)
-        contacts = shape.sites.point[spread_out(shape.sites.point, _KEPT)]
+        contacts = shape.sites.touched[spread_out(shape.sites.touched, _KEPT)]
         return cls(shape, stated, contacts, places, known.T, variance, tolerance)
 
     @property
@@ -372,12 +372,14 @@ class _Gains(NamedTuple):
             return decrease
         points, which = np.unique(np.concatenate(few), axis=0, return_inverse=True)
         level, found = self.shape.level, self.shape.level.found
-        here, kernel = level.places(points), found.basis.kernel
+        normal = self.shape.normal(points)
+        raised = points + level.above * normal
+        here, kernel = level.places(raised), found.basis.kernel
         rows = found.basis.jets(here)
         left = solve_triangular(found.root, rows, lower=True, check_finite=False)
         cross = covariance_of_values(kernel, self.places, here)
         cross -= self.known @ rows
-        errors, unknown, first = self._errors(points), self.unknown, 0
+        errors, unknown, first = self._errors(raised, normal), self.unknown, 0
         for number, each in enumerate(few):
             if not len(each):
                 continue
@@ -393,10 +395,11 @@ class _Gains(NamedTuple):
             decrease[number] = unknown - self._unknown(stated, variance)
         return decrease
 
-    def _errors(self, points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "k 4 4"]:
+    def _errors(
+        self, points: Float[np.ndarray, "k 3"], normal: Float[np.ndarray, "k 3"]
+    ) -> Float[np.ndarray, "k 4 4"]:
         """Of contacts that are as well known as those so far."""
         level, sites = self.shape.level, self.shape.sites
-        normal = self.shape.normal(points)
         usual = np.median(sites.covariance, axis=0) * np.eye(6)
         curvature = level.ball.curvature(points)
         many = np.broadcast_to(usual, (len(points), 6, 6))

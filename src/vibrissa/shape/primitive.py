@@ -18,7 +18,7 @@ from vibrissa.contacts import Contacts
 from vibrissa.shape.guesses import guesses
 from vibrissa.shape.kinds import Kind, Shaped, kind_of, told_of
 from vibrissa.shape.poses import Equations, Poses, crossed, equations_of, improved, likeness
-from vibrissa.shape.sites import Gathered, gathered, spread_out
+from vibrissa.shape.sites import Gathered, gathered, outside, spread_out
 from vibrissa.surfaces import Surface
 
 _MOST = 300
@@ -120,7 +120,7 @@ def fit_primitive(kind: type[Surface], contacts: Contacts | Sequence[Contacts]) 
     sizes are known.
     """
     shape = kind_of(kind)
-    whole = gathered(contacts).raised()
+    whole = outside(gathered(contacts))
     rows = spread_out(np.column_stack([whole.point / whole.extent, 0.5 * whole.normal]), _MOST)
     given = whole.part(rows)
     if 3 * len(rows) < shape.known + 1:

@@ -11,7 +11,7 @@ from scipy.ndimage import map_coordinates
 
 from vibrissa.contacts import Contacts
 from vibrissa.geometry.checks import finite_array, positive
-from vibrissa.shape.level import STEEP, Level
+from vibrissa.shape.level import Level
 from vibrissa.shape.mesh import ShapeMesh, box_of, extracted, lattice_of
 from vibrissa.shape.occupancy import Occupancy, lattice_points, probability_inside
 from vibrissa.shape.sites import Sites
@@ -93,23 +93,22 @@ class Shape:
         return self._rows(points, self._deviations)
 
     def gradient(self, points: ArrayLike) -> Float[np.ndarray, "*rows 3"]:
-        """Gradient of the mean level at points (…, 3); on the surface, its direction is the outward
-        normal, and its length about 1. Raises ValueError as `distance` does.
+        """Gradient of `distance` at points (…, 3): the outward unit normal of the surface next to
+        them. Raises ValueError as `distance` does.
         """
-        return self._rows(points, lambda flat: self.level.jets(flat)[:, 1:])
+        return self._rows(points, lambda flat: self.level.feet(flat, self.extent).normal)
 
     def normal(self, points: ArrayLike) -> Float[np.ndarray, "*rows 3"]:
         """Outward unit normals (…, 3) at points (…, 3) near the surface. Raises ValueError as
         `distance` does.
         """
-        gradient = self.gradient(points)
-        return gradient / np.linalg.norm(gradient, axis=-1, keepdims=True)
+        return self.gradient(points)
 
     def nearest(self, points: ArrayLike) -> Float[np.ndarray, "*rows 3"]:
         """Points (…, 3) of the mean surface closest to points (…, 3). Raises ValueError as
         `distance` does.
         """
-        return self._rows(points, lambda flat: self.level.feet(flat, self.extent))
+        return self._rows(points, lambda flat: self.level.feet(flat, self.extent).place)
 
     def mesh(self, resolution: float | None = None, *, extrapolate: bool = False) -> ShapeMesh:
         """Triangles of the mean surface, where the contacts say something.
@@ -134,7 +133,7 @@ class Shape:
         known = _KNOWN * self.extent
         mesh = extracted(
             self.level,
-            self.sites.point,
+            self.sites.touched,
             step,
             self.extent,
             self._deviations,
@@ -161,7 +160,7 @@ class Shape:
         from vibrissa.surfaces import Lattice  # noqa: PLC0415
 
         step = self.extent / 50 if resolution is None else positive(resolution, "resolution")
-        origin, values = lattice_of(self.level, self.sites.point, step, self.extent)
+        origin, values = lattice_of(self.level, self.sites.touched, step, self.extent)
         return Lattice(origin=origin, spacing=step, values=values)
 
     def occupancy(self, resolution: float | None = None) -> Occupancy:
@@ -180,16 +179,15 @@ class Shape:
 
         Notes
         -----
-        It is Φ(−d/σ) with d the level over its slope at the middle of the voxel, and σ the standard
+        It is Φ(−d/σ) with d the distance of the voxel's middle, and σ the standard
         deviation of the surface's place. Voxels are unknown where the surface is not seen, as in a
         mesh, and its 95 % interval reaches them. More than two voxels from the surface σ is
         interpolated between every other voxel.
         """
         step = self.extent / 30 if resolution is None else positive(resolution, "resolution")
-        origin, counts = box_of(self.level, self.sites.point, step, self.extent)
+        origin, counts = box_of(self.level, self.sites.touched, step, self.extent)
         points = lattice_points(origin, step, counts)
-        jets = self.level.jets(points)
-        away = jets[:, 0] / np.maximum(np.linalg.norm(jets[:, 1:], axis=1), STEEP)
+        away = self.level.distances(points, _NEXT * step, self.extent)
         # Between every other voxel where they are not next to the surface.
         half = counts // 2 + 1
         few = self._deviations(lattice_points(origin, 2 * step, half)).reshape(half)
@@ -206,10 +204,8 @@ class Shape:
         return found.reshape(array.shape[:-1] + found.shape[1:])
 
     def _distances(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
-        jets = self.level.jets(points)
-        apart = np.linalg.norm(points - self.level.feet(points, self.extent), axis=1)
-        return np.copysign(apart, jets[:, 0])
+        return self.level.feet(points, self.extent).distance
 
     def _deviations(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
-        stated = Stated.at(self.level, points, self.sites.point, self.extent)
-        return stated.deviations(self.level.variance(points))
+        stated = Stated.at(self.level, points, self.sites.touched, self.extent)
+        return stated.deviations(self.level.variance(stated.feet.raised))

@@ -55,6 +55,13 @@ class Sites(NamedTuple):
     not told by their sweep. How far the means lie in front of the surface does not grow with it:
     with it, balls and ellipsoids were 3 to 5 µm too small, and are now known to 1 µm on average.
     """
+    above: Float[np.ndarray, "n"]
+    """Heights of the points over the object."""
+
+    @property
+    def touched(self) -> Float[np.ndarray, "n 3"]:
+        """Where the object was touched."""
+        return self.point - self.above[:, None] * self.normal
 
     def part(self, rows: Any) -> "Sites":
         """Some of them."""
@@ -90,13 +97,10 @@ class Gathered(NamedTuple):
             order=self.order[rows],
         )
 
-    def raised(self) -> "Gathered":
-        """Moved along their normals by three deviations of their points.
-
-        At an edge, a point slightly inside the object has the normal of either face; surfaces at a
-        distance have round edges.
+    def raised(self, above: float) -> "Gathered":
+        """Moved along their normals, to the surface at some distance: its edges are round, where
+        normals turn at a sharp one from one face to the other in no distance.
         """
-        above = _RAISED * float(np.median(deviations(self.covariance)))
         moved = np.eye(6)
         moved[:3, 3:] = above * np.eye(3)
         return self._replace(
@@ -112,13 +116,20 @@ class Gathered(NamedTuple):
         return rows
 
 
-_RAISED = 3.0
-"""Deviations by which hardly any point is inside."""
-
-
 def deviations(covariance: Float[np.ndarray, "n 6 6"]) -> Float[np.ndarray, "n"]:
     """Standard deviations of points: mean over directions."""
     return np.sqrt(np.einsum("nii->n", covariance[:, :3, :3]) / 3)
+
+
+def outside(given: Gathered) -> Gathered:
+    """Raised by three deviations of their points: at an edge, a point slightly inside the object
+    has the normal of either face.
+    """
+    return given.raised(_OUTSIDE * float(np.median(deviations(given.covariance))))
+
+
+_OUTSIDE = 3.0
+"""Deviations by which hardly any point is inside."""
 
 
 def several(contacts: Contacts | Sequence[Contacts]) -> list[Contacts]:
@@ -252,22 +263,23 @@ def pooled(given: Gathered) -> Sites:
     point += 0.5 * mean(np.einsum("ni,ni->n", turned, apart))[:, None] * normal
     order, covariance = mean(given.order), mean(given.covariance)
     halves, of = np.zeros((2, len(size)), dtype=np.int64)
-    alike = np.ones(len(size))
+    alike, above = np.ones(len(size)), np.full(len(size), given.above)
     halves[group], of[group] = half, given.sweep
     if sweep is given.sweep:
-        return Sites(point, normal, covariance, of, order, size, halves, alike)
+        return Sites(point, normal, covariance, of, order, size, halves, alike, above)
     # Those of different sweeps are independent of one another; pools of neighbouring places share
     # their sweeps' errors.
     pairs = np.unique(np.column_stack([group, given.sweep]), axis=0)
     covariance /= np.bincount(pairs[:, 0])[:, None, None]
     alike *= 1 + 2 * _ALIKE * _FINEST * given.extent / width
-    return Sites(point, normal, covariance, np.arange(len(size)), order, size, halves, alike)
+    of = np.arange(len(size))
+    return Sites(point, normal, covariance, of, order, size, halves, alike, above)
 
 
 def single(given: Gathered) -> Sites:
     """Contacts as they are."""
-    count = np.ones(len(given.point), dtype=np.int64)
-    return Sites(*given[1:6], count, _half(given.sweep), np.ones(len(count)))
+    count, all_ = np.ones(len(given.point), dtype=np.int64), np.ones(len(given.point))
+    return Sites(*given[1:6], count, _half(given.sweep), all_, given.above * all_)
 
 
 def _half(sweep: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:

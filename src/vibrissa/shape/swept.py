@@ -19,7 +19,7 @@ from vibrissa.shape.level import Level
 from vibrissa.shape.noise import Noise
 from vibrissa.shape.posterior import Basis, Data, Information, information
 from vibrissa.shape.prior import Ball
-from vibrissa.shape.sites import spread_out
+from vibrissa.shape.sites import Sites, spread_out
 from vibrissa.shape.stated import Stated
 
 _APART = 0.03
@@ -68,18 +68,19 @@ def swept_points(
 
 def emptied(
     level: Level,
-    places: Coordinates,
+    sites: Sites,
     target: Float[np.ndarray, "n 4"],
     noise: Noise,
     points: Float[np.ndarray, "k 3"],
     extent: float,
 ) -> tuple[Level, list[str]]:
-    """The random surface given, besides contacts at these places, that these points are outside;
-    and a line if contacts alone surely put some of them inside.
+    """The random surface given, besides these contacts, that these points are outside; and a line
+    if contacts alone surely put some of them inside.
 
     Points are added where the surface so far leaves them open, as long as there are any.
     """
-    contacts = level.found.basis.sites.value[:, :3]
+    contacts, places = sites.touched, level.places(sites.point)
+    carriers = len(level.found.basis.sites.value)
     points = _thinned(points, contacts, level.ball, extent)
     deepest = _contradicted(level, points, contacts, extent)
     said = (
@@ -94,7 +95,7 @@ def emptied(
         if not len(added):
             break
         chosen = np.unique(np.concatenate([chosen, added]), axis=0)
-        level = _given_outside(level, places, target, noise, chosen, len(contacts))
+        level = _given_outside(level, places, target, noise, chosen, carriers)
         points = points[KDTree(chosen).query(points)[0] > 0]
     return level, [said] if deepest > 0 else []
 
@@ -111,7 +112,7 @@ def _contradicted(
     if not len(points):
         return 0.0
     stated = Stated.at(level, points, contacts, extent)
-    deviation = stated.deviations(level.variance(points))
+    deviation = stated.deviations(level.variance(stated.feet.raised))
     return float(depth[depth > _SURE * deviation].max(initial=0.0))
 
 
@@ -150,7 +151,7 @@ def _given_outside(
     )
     basis = Basis.of(before.kernel, sites)
     touched = information(Data.of(basis, places, target), noise)
-    rows, offset = basis.values(own), level.ball.at(points)[:, 0]
+    rows, offset = basis.values(own), level.above + level.ball.at(points)[:, 0]
     alone = touched.posterior(basis)
     left = solve_triangular(alone.root, rows, lower=True, check_finite=False)
     # By the contacts alone: the rounds go on in the space of the points.

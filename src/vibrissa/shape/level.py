@@ -16,12 +16,12 @@ change little over it.
 """
 STEEP = 0.3
 """Least gradient that levels are divided by: inside, where faces are equally far, it vanishes."""
-_RATE = 0.7
-"""Of a step along the tangent plane, at first."""
 _TURNED = 0.5
 """Cosine of the angle to the step before, below which a step is too long."""
-_STEPS, _SETTLED = 30, 1e-5
-"""Steps towards the closest point, and the last one, relative to the extent."""
+_STEPS, _SETTLED = 30, (1e-5, 5e-5)
+"""Steps towards the closest point, and the last one, relative to the extent: across the surface,
+and along it, where distances change with its square only.
+"""
 
 
 class Feet(NamedTuple):
@@ -93,9 +93,9 @@ class Level(NamedTuple):
         gradient = self.jets(raised)[:, 1:]
         steepness = np.linalg.norm(gradient, axis=1)
         normal = gradient / steepness[:, None]
-        apart = np.linalg.norm(points - raised, axis=1)
-        inside = self.values(points) < self.above
-        distance = np.where(inside, -apart, apart) + self.above
+        apart = points - raised
+        side = np.einsum("ni,ni->n", apart, normal)
+        distance = np.copysign(np.linalg.norm(apart, axis=1), side) + self.above
         return Feet(raised - self.above * normal, raised, normal, steepness, distance)
 
     def _raised(self, points: Points, extent: float) -> Points:
@@ -105,7 +105,7 @@ class Level(NamedTuple):
         """
         feet, going = self._nearby(points, extent), np.arange(len(points))
         longest = 0.1 * extent
-        rate, before = np.full(len(points), _RATE), np.zeros_like(points)
+        rate, before = np.ones(len(points)), np.zeros_like(points)
         for _ in range(_STEPS):
             here = feet[going]
             jets = self.jets(here)
@@ -121,9 +121,10 @@ class Level(NamedTuple):
             turned = ahead < _TURNED * size * np.linalg.norm(before[going], axis=1)
             rate[going] *= np.where(turned, 0.5, 1.0)
             before[going] = along
-            moved = (rate[going] * shorter)[:, None] * along - onto[:, None] * normal
-            feet[going] = here + moved
-            going = going[np.linalg.norm(moved, axis=1) > _SETTLED * extent]
+            shorter *= rate[going]
+            feet[going] = here + shorter[:, None] * along - onto[:, None] * normal
+            across, aside = (settled * extent for settled in _SETTLED)
+            going = going[(np.abs(onto) > across) | (shorter * size > aside)]
             if not len(going):
                 break
         return feet

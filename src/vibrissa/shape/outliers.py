@@ -64,16 +64,21 @@ def outliers_of(
     square, found = np.zeros((2, len(given.point)))
     square[rows] = _squares(given, rows, level, curvature, sure=False)
     off = np.flatnonzero(square > _GROSS)
-    found[off] = square[off] > _GROSS * np.maximum(_around(given, square, off) / _USUAL, 1.0)
+    feet = level.feet(given.point[off], given.extent).raised
+    around = _around(given, square, feet, given.sweep[off])
+    found[off] = square[off] > _GROSS * np.maximum(around / _USUAL, 1.0)
     return found > 0
 
 
 def _around(
-    given: Gathered, square: Float[np.ndarray, "n"], rows: Int[np.ndarray, "k"]
+    given: Gathered,
+    square: Float[np.ndarray, "n"],
+    points: Float[np.ndarray, "k 3"],
+    sweep: Int[np.ndarray, "k"],
 ) -> Float[np.ndarray, "k"]:
-    """Median squared residual of the contacts of other sweeps next to some; 0 without any."""
-    _, near = KDTree(given.point).query(given.point[rows], min(_LOOKED, len(square)))
-    other = given.sweep[near] != given.sweep[rows, None]
+    """Median squared residual of contacts next to points but of other sweeps; 0 without any."""
+    _, near = KDTree(given.point).query(points, min(_LOOKED, len(square)))
+    other = given.sweep[near] != sweep[:, None]
     other &= np.cumsum(other, axis=1) <= _NEIGHBOURS
     pairs = zip(near, other, strict=True)
     return np.array([np.median(square[here[use]]) if use.any() else 0.0 for here, use in pairs])

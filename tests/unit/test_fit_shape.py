@@ -311,8 +311,8 @@ def test_resolution_that_would_take_all_memory(ellipsoid):
 
 
 def test_contacts_on_sharp_edges_are_kept():
-    """A rod that slides round the edge of a box touches one place, with ever other normals. A first
-    surface that is round there explains only 55 of 198.
+    """A rod that slides round the edge of a box touches one place, with ever other normals. Through
+    contacts as they are, 85 of 198 were outliers, and the surface was 0.47 mm off.
     """
     x, y, z = np.eye(3)
     edges = [(-z, -x, y, 0.012), (z, x, y, 0), (x, z, y, -0.006), (x, y, z, -0.006)]
@@ -340,3 +340,10 @@ def test_contacts_on_sharp_edges_are_kept():
     assert shape.sites.size.sum() == 198
     touched = np.concatenate([part.point for part in parts])
     assert np.median(np.abs(shape.distance(touched))) < 2 * POINT
+    box = vb.surfaces.Box(center=(0, 0, 0), half_extents=half)
+    points = box.nearest(touched + 1e-3 * rng.normal(size=touched.shape))
+    away = np.abs(shape.distance(points))
+    assert away.mean() < 0.2e-3
+    assert np.mean(away < 1.96 * shape.deviation(points)) > 0.93
+    assert not shape.outlier.any()
+    assert not any("contradicts" in line for line in shape.warnings)

@@ -56,6 +56,7 @@ def test_girth_is_closed(surface, tolerance):
     assert np.quantile(away, 0.95) < tolerance
     assert np.mean(away < 1.96 * girth.deviation) > 0.9
     assert girth.deviation.max() <= tolerance
+    assert np.quantile(girth.deviation, 0.95) <= tolerance / 1.96
     for trail in driven:
         assert np.all(surface.distances(trail.position) > 0)
         assert np.allclose(trail.axis[:, 2], 0, atol=1e-9)

@@ -1,6 +1,7 @@
 """From contacts of one or many sweeps to a surface.
 
-1. Contacts are pooled along their sweeps (`sites`).
+1. Contacts are raised above the object, where its edges are round, and pooled along their sweeps
+   (`sites`).
 2. A first surface, from a part of them, gives curvatures, directions and outliers.
 3. The surface itself: its covariance tells the two sides of an edge apart by the first surface's
    directions (`prior.Folds`), its scales come from the evidence, outliers lose their weight, and
@@ -61,7 +62,9 @@ _MOSTLY = 0.5
 """Share of contacts that a first surface must explain to be trusted with telling outliers."""
 _ABOVE = 0.025
 """Height above the surface at which contacts are used, relative to the extent. There edges are
-round and rounded edges rounder; concave ones get sharper.
+round, but concave ones get sharper. With 0, 0.012, 0.018 and 0.025 a cylinder with sharp ends is
+off by 0.18, 0.09, 0.06 and 0.04 mm, a block with edges of 1 mm through 600 contacts by 0.09, 0.05,
+0.04 and 0.02 mm; a concave blob by 0.008, 0.009, 0.0095 and 0.010 mm.
 """
 _STUDENT = 4.0
 """Degrees of freedom of the contacts' errors: a few in a hundred are far off, at starts and ends of

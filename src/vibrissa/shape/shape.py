@@ -179,10 +179,10 @@ class Shape:
 
         Notes
         -----
-        It is Φ(−d/σ) with d the distance of the voxel's middle, and σ the standard
-        deviation of the surface's place. Voxels are unknown where the surface is not seen, as in a
-        mesh, and its 95 % interval reaches them. More than two voxels from the surface σ is
-        interpolated between every other voxel.
+        It is Φ(−d/σ) with d the distance of the voxel's middle, and σ the standard deviation of the
+        surface's place. Voxels are unknown where the surface is not seen, as in a mesh, and its
+        95 % interval reaches them. More than two voxels from the surface σ is interpolated between
+        every other voxel.
         """
         step = self.extent / 30 if resolution is None else positive(resolution, "resolution")
         origin, counts = box_of(self.level, self.sites.touched, step, self.extent)

@@ -347,3 +347,26 @@ def test_contacts_on_sharp_edges_are_kept():
     assert np.mean(away < 1.96 * shape.deviation(points)) > 0.93
     assert not shape.outlier.any()
     assert not any("contradicts" in line for line in shape.warnings)
+
+
+def test_walls_that_face_one_another_are_told_apart():
+    """Two plates of 12 mm, 3 mm apart, touched on all faces but the narrow ones."""
+    rng, parts = np.random.default_rng(0), []
+    for middle in (-0.0075, 0.0075):
+        for side in (-1, 1):
+            for y in np.linspace(-0.015, 0.015, 8):
+                z = np.linspace(-0.010, 0.010, 30)
+                point = np.column_stack([np.full((30, 2), (middle + side * 0.006, y)), z])
+                normal = np.tile([side, 0.0, 0.0], (30, 1)) + NORMAL * rng.normal(size=(30, 3))
+                parts.append(
+                    vb.Contacts(
+                        point + POINT * rng.normal(size=(30, 3)),
+                        normal / np.linalg.norm(normal, axis=1)[:, None],
+                        np.tile(POINT**2 * np.eye(3), (30, 1, 1)),
+                        np.tile(NORMAL**2 * np.eye(3), (30, 1, 1)),
+                    )
+                )
+    shape = vb.fit_shape(parts)
+    inner = np.array([[side * 0.0015, y, 0.003] for side in (-1, 1) for y in (-0.011, 0.001, 0.009)])
+    assert np.abs(shape.distance(inner)).max() < 0.5e-3
+    assert shape.distance((0, 0, 0)) == pytest.approx(0.0015, abs=0.5e-3)

@@ -42,6 +42,7 @@ from vibrissa.shape.sites import (
     Sites,
     gathered,
     pooled,
+    room,
     several,
     single,
     spread_out,
@@ -62,9 +63,14 @@ _MOSTLY = 0.5
 """Share of contacts that a first surface must explain to be trusted with telling outliers."""
 _ABOVE = 0.025
 """Height above the surface at which contacts are used, relative to the extent. There edges are
-round, but concave ones get sharper. With 0, 0.012, 0.018 and 0.025 a cylinder with sharp ends is
-off by 0.18, 0.09, 0.06 and 0.04 mm, a block with edges of 1 mm through 600 contacts by 0.09, 0.05,
-0.04 and 0.02 mm; a concave blob by 0.008, 0.009, 0.0095 and 0.010 mm.
+round. With 0, 0.012, 0.018 and 0.025 a cylinder with sharp ends is off by 0.18, 0.09, 0.06 and 0.04
+mm, a block with edges of 1 mm through 600 contacts by 0.09, 0.05, 0.04 and 0.02 mm. Concave parts
+get tighter: a blob is off by 0.008, 0.009, 0.0095 and 0.010 mm.
+"""
+_ROOM = 0.15
+"""Largest height, relative to the room in front of the contacts. With 0.5, 0.25 and 0.15, walls
+that face one another across 8 mm are off by 0.07, 0.04 and 0.01 mm; without a limit, those across 3
+mm by 0.9 mm.
 """
 _STUDENT = 4.0
 """Degrees of freedom of the contacts' errors: a few in a hundred are far off, at starts and ends of
@@ -124,7 +130,7 @@ def fit_shape(
     """
     parts, lines = several(contacts), swept_points(swept)
     given = gathered(parts)
-    given = given.raised(_ABOVE * given.extent)
+    given = given.raised(min(_ABOVE * given.extent, _ROOM * room(given)))
     length = None if length_scale is None else positive(length_scale, "length_scale")
     agreeing = np.flatnonzero(agree_with_neighbours(given))
     if len(agreeing) < LEAST:

@@ -121,6 +121,30 @@ def deviations(covariance: Float[np.ndarray, "n 6 6"]) -> Float[np.ndarray, "n"]
     return np.sqrt(np.einsum("nii->n", covariance[:, :3, :3]) / 3)
 
 
+def room(given: Gathered) -> float:
+    """Radius of a ball outside that touches the object at a contact, and reaches others across a
+    gap or a concave corner; for all but a few of the contacts it is larger.
+    """
+    part = given.part(np.linspace(0, len(given.point) - 1, _SAMPLED).astype(np.int64))
+    apart = part.point - part.point[:, None]
+    here = np.einsum("mni,mi->mn", apart, part.normal)
+    there = -np.einsum("mni,ni->mn", apart, part.normal)
+    facing = (np.minimum(here, there) > _CLEAR * given.extent) & (part.normal @ part.normal.T < 0.5)
+    radius = np.full(here.shape, np.inf)
+    radius[facing] = np.sum(apart[facing] ** 2, axis=1) / (2 * here[facing])
+    return float(np.quantile(radius.min(axis=1), _TIGHT, method="lower"))
+
+
+_SAMPLED = 1000
+"""Contacts that are compared."""
+_CLEAR = 0.005
+"""Height of contacts that face one another over the other's tangent plane, relative to the extent:
+far more than errors, and far less than the height at which contacts are used.
+"""
+_TIGHT = 0.01
+"""Share of contacts with less room: some in a hundred may be outliers."""
+
+
 def outside(given: Gathered) -> Gathered:
     """Raised by three deviations of their points: at an edge, a point slightly inside the object
     has the normal of either face.

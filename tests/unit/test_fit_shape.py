@@ -367,6 +367,8 @@ def test_walls_that_face_one_another_are_told_apart():
                     )
                 )
     shape = vb.fit_shape(parts)
-    inner = np.array([[side * 0.0015, y, 0.003] for side in (-1, 1) for y in (-0.011, 0.001, 0.009)])
+    inner = np.array(
+        [[side * 0.0015, y, 0.003] for side in (-1, 1) for y in (-0.011, 0.001, 0.009)]
+    )
     assert np.abs(shape.distance(inner)).max() < 0.5e-3
     assert shape.distance((0, 0, 0)) == pytest.approx(0.0015, abs=0.5e-3)

@@ -327,15 +327,8 @@ def test_contacts_on_sharp_edges_are_kept():
     angle = np.linspace(0.02, 1.1, 22)[:, None]
     for first, then, along, place in edges:
         point = half * (first + then) + place * along
-        normal = np.cos(angle) * first + np.sin(angle) * then + NORMAL * rng.normal(size=(22, 3))
-        parts.append(
-            vb.Contacts(
-                point + POINT * rng.normal(size=(22, 3)),
-                normal / np.linalg.norm(normal, axis=1)[:, None],
-                np.tile(POINT**2 * np.eye(3), (22, 1, 1)),
-                np.tile(NORMAL**2 * np.eye(3), (22, 1, 1)),
-            )
-        )
+        normal = np.cos(angle) * first + np.sin(angle) * then
+        parts.append(_felt(point, normal, rng))
     shape = vb.fit_shape(parts)
     assert shape.sites.size.sum() == 198
     touched = np.concatenate([part.point for part in parts])
@@ -357,18 +350,22 @@ def test_walls_that_face_one_another_are_told_apart():
             for y in np.linspace(-0.015, 0.015, 8):
                 z = np.linspace(-0.010, 0.010, 30)
                 point = np.column_stack([np.full((30, 2), (middle + side * 0.006, y)), z])
-                normal = np.tile([side, 0.0, 0.0], (30, 1)) + NORMAL * rng.normal(size=(30, 3))
-                parts.append(
-                    vb.Contacts(
-                        point + POINT * rng.normal(size=(30, 3)),
-                        normal / np.linalg.norm(normal, axis=1)[:, None],
-                        np.tile(POINT**2 * np.eye(3), (30, 1, 1)),
-                        np.tile(NORMAL**2 * np.eye(3), (30, 1, 1)),
-                    )
-                )
+                parts.append(_felt(point, np.tile([side, 0.0, 0.0], (30, 1)), rng))
     shape = vb.fit_shape(parts)
     inner = np.array(
         [[side * 0.0015, y, 0.003] for side in (-1, 1) for y in (-0.011, 0.001, 0.009)]
     )
     assert np.abs(shape.distance(inner)).max() < 0.5e-3
     assert shape.distance((0, 0, 0)) == pytest.approx(0.0015, abs=0.5e-3)
+
+
+def _felt(point: np.ndarray, normal: np.ndarray, rng: np.random.Generator) -> vb.Contacts:
+    """Contacts of a sweep at one place or several, with independent errors."""
+    turned = normal + NORMAL * rng.normal(size=normal.shape)
+    each = (len(normal), 1, 1)
+    return vb.Contacts(
+        point + POINT * rng.normal(size=normal.shape),
+        turned / np.linalg.norm(turned, axis=1)[:, None],
+        np.tile(POINT**2 * np.eye(3), each),
+        np.tile(NORMAL**2 * np.eye(3), each),
+    )

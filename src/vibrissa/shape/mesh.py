@@ -128,7 +128,7 @@ def _face(low: np.ndarray, high: np.ndarray, axis: int, end: np.ndarray) -> np.n
 def lattice_of(
     level: Level, contacts: Float[np.ndarray, "n 3"], step: float, extent: float
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "x y z"]]:
-    """Lowest corner and values of the level at the nodes of a lattice around the surface."""
+    """Lowest corner and distances, far from the surface only levels, at the nodes of a lattice."""
     low, counts = box_of(level, contacts, step, extent)
     points = lattice_points(low, step, counts)
     return low, level.distances(points, _AROUND * step, extent).reshape(counts)

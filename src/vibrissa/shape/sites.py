@@ -125,21 +125,25 @@ def room(given: Gathered) -> float:
     """Radius of a ball outside that touches the object at a contact, and reaches others across a
     gap or a concave corner; for all but a few of the contacts it is larger.
     """
-    part = given.part(np.linspace(0, len(given.point) - 1, _SAMPLED).astype(np.int64))
+    part = given.part(slice(None, None, -(-len(given.point) // _SAMPLED)))
     apart = part.point - part.point[:, None]
     here = np.einsum("mni,mi->mn", apart, part.normal)
     there = -np.einsum("mni,ni->mn", apart, part.normal)
-    facing = (np.minimum(here, there) > _CLEAR * given.extent) & (part.normal @ part.normal.T < 0.5)
+    facing = np.minimum(here, there) > _CLEAR * given.extent
+    facing &= part.normal @ part.normal.T < _TURNED
     radius = np.full(here.shape, np.inf)
     radius[facing] = np.sum(apart[facing] ** 2, axis=1) / (2 * here[facing])
     return float(np.quantile(radius.min(axis=1), _TIGHT, method="lower"))
 
 
 _SAMPLED = 1000
-"""Contacts that are compared."""
+"""Contacts that are compared, at most."""
 _CLEAR = 0.005
 """Height of contacts that face one another over the other's tangent plane, relative to the extent:
 far more than errors, and far less than the height at which contacts are used.
+"""
+_TURNED = 0.5
+"""Cosine of the angle between their normals, at most: an outlier in front of a face is turned less.
 """
 _TIGHT = 0.01
 """Share of contacts with less room: some in a hundred may be outliers."""

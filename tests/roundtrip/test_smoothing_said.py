@@ -4,8 +4,11 @@ in contact; and segments meet without a seam.
 
 from dataclasses import replace
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 from sweeps import BALL, SENSOR, WIRE
 
@@ -255,3 +258,49 @@ def test_contacts_along_and_over_an_edge_are_smoothed_whatever_the_noise():
         assert touching.sum() > 100
         assert (found.status[touching] == vb.Status.OK).all(), seed
         assert np.abs(block.distances(found.point[touching])).max() < 0.5e-3, seed
+
+
+def peaks(point: jnp.ndarray) -> jnp.ndarray:
+    """A smooth least distance from three balls of 12 mm."""
+    centers = jnp.array([[0.014, 0, 0], [-0.014, 0, 0], [0, 0, -0.012]])
+    apart = jnp.sqrt(jnp.sum((point - centers) ** 2, axis=1) + 1e-12) - 0.012
+    return -0.004 * jax.nn.logsumexp(-apart / 0.004)
+
+
+def sharp() -> vb.surfaces.Surface:
+    """A box with edges of 0.25 mm."""
+    inner = vb.surfaces.Box(center=(0, 0, 0), half_extents=(0.02175, 0.01675, 0.01375))
+    return vb.surfaces.Offset(inner, 0.00025)
+
+
+@pytest.mark.parametrize(
+    ("surface", "side", "offset", "jumps"),
+    [
+        pytest.param(vb.surfaces.Implicit(peaks), 90, -0.001, 2, id="two snaps in 0.2 s"),
+        pytest.param(sharp(), 0, 0.016, 2, id="hardly loaded after a snap"),
+    ],
+)
+def test_contacts_that_snap_are_where_they_say(
+    surface: vb.surfaces.Surface, side: float, offset: float, jumps: int
+) -> None:
+    """A wire that snaps off one ball over the next, or over a sharp edge to a face that it hardly
+    presses on.
+    """
+    turn = Rotation.from_euler("x", side, degrees=True)
+    ends = turn.apply([[0.04, offset, -0.05], [-0.04, offset, -0.05]])
+    trail = vb.Trail(ends, np.tile(turn.as_quat(), (2, 1)))
+    for seed in range(4):
+        arm = vb.SimulatedArm(WIRE, surface, SENSOR, rate=50.0, rng=np.random.default_rng(seed))
+        found = arm(trail)
+        touching = found.in_contact
+        assert touching.sum() > 100
+        assert (found.status[touching] == vb.Status.OK).all(), seed
+        assert found.smoothing is not None
+        assert sum(len(touch.jumps) for touch in found.smoothing[0].touches) == jumps, seed
+        point = found.point[touching]
+        normal = surface.normal(point)
+        assert found.covariance is not None
+        across = np.einsum("ni,nij,nj->n", normal, found.covariance[touching], normal)
+        off = np.abs(surface.distances(point)) / np.sqrt(across)
+        assert np.mean(off < 1.96) > 0.9, seed
+        assert np.mean(off < 5) > 0.98, seed

@@ -54,6 +54,10 @@ _ROUGH_STEPS, MOST_STEPS = 8, 12
 phases of a contact on a torus were judged before it had settled, and were wrong.
 """
 _FLANK_STEPS = 3
+_LONGEST = 1.0
+"""The largest of them in any coordinate [EI/L, EI/L², L]. Where a rod is hardly loaded, after it
+snapped over a sharp edge, longer ones ran away: within four, samples were outliers, and force 200.
+"""
 _NEAR = 1
 """Steps after which the intensities are estimated."""
 _CLOSE, _ROUGHLY = 1e-5, 1e-3
@@ -131,7 +135,7 @@ def fitted(fit: Fit, *, local: bool = True, most_steps: int = _ROUGH_STEPS) -> F
             raise NoMotionError
         rate = rate / 2 if np.sum(step * before) < 0 else min(2 * rate, 1.0)
         before = step
-        fit = _stepped(fit, fit.linear.x + rate * step)
+        fit = _stepped(fit, fit.linear.x + np.clip(rate * step, -_LONGEST, _LONGEST))
         fit = fit._replace(weight=_robust(squared_residuals(fit)))
         if change < close and not rough:
             break

@@ -76,7 +76,9 @@ _SETTLED = 0.2
 _FALSE_JUMPS = 1e-3
 """Expected number of jumps found in a recording that has none."""
 _APART = 12
-"""Fewest samples between two breaks: closer ones count as one."""
+"""Fewest samples between two breaks: closer ones count as one. Steps may be half as close, as a rod
+that snaps from one face to the next may soon snap off that, too.
+"""
 _SIDE, _HALF = 3, 25
 """Samples on either side of a step, and of its neighbourhood."""
 _STEP, _UNUSUAL = 12.0, 6.0
@@ -262,7 +264,7 @@ def with_snaps(fit: Fit) -> Labels:
     step = np.linalg.norm(around[_SIDE:] - around[:-_SIDE], axis=1)
     step = np.pad(step, (_SIDE, _SIDE - 1))
     usual = median_filter(step, 2 * _HALF + 1, mode="nearest")
-    largest = step == maximum_filter1d(step, 2 * _APART + 1, mode="nearest")
+    largest = step == maximum_filter1d(step, _APART + 1, mode="nearest")
     single = np.linalg.norm(np.diff(load, axis=0, prepend=load[:1]), axis=1)
     inside = touching & np.append(False, touching[:-1])
     for place in np.flatnonzero(inside & largest & (step > _STEP) & (step > _UNUSUAL * usual)):

@@ -41,11 +41,12 @@ _MOST = 150
 
 
 class Noise(NamedTuple):
-    """Errors of sites: factors (n, 4, 7) whose products are the covariances, additional independent
-    ones (n, 4, 4), and correlation from site to site.
+    """Errors of sites: factors (n, 4, 7) whose products are the covariances, those of their points
+    (n, 3, 7), additional independent ones (n, 4, 4), and correlation from site to site.
     """
 
     factor: Float[np.ndarray, "n 4 7"]
+    point: Float[np.ndarray, "n 3 7"]
     alone: Float[np.ndarray, "n 4 4"]
     order: Float[np.ndarray, "n"]
     groups: list[Int[np.ndarray, "k"]]
@@ -65,9 +66,9 @@ class Noise(NamedTuple):
         """Errors, where surfaces are curved so and single contacts count less than fully."""
         scale = _ends(sites, reach, doubt) ** 2 * sites.alike / weight
         root = np.sqrt(scale)[:, None, None]
-        factor, alone = _errors(sites.normal, sites.covariance, curvature, extent)
+        factor, point, alone = _errors(sites.normal, sites.covariance, curvature, extent)
         groups = _chunks(sites)
-        return cls(factor * root, alone * root**2, sites.order, groups, reach)
+        return cls(factor * root, point * root, alone * root**2, sites.order, groups, reach)
 
     @staticmethod
     def errors(
@@ -77,13 +78,24 @@ class Noise(NamedTuple):
         extent: float,
     ) -> Float[np.ndarray, "n 4 4"]:
         """Covariance of single contacts, as stated."""
-        factor, alone = _errors(normal, covariance, curvature, extent)
+        factor, _, alone = _errors(normal, covariance, curvature, extent)
         return factor @ np.swapaxes(factor, 1, 2) + alone
 
     @property
     def own(self) -> Float[np.ndarray, "n 4 4"]:
         """Covariance of each site by itself."""
         return self.factor @ np.swapaxes(self.factor, 1, 2) + self.alone
+
+    def of_points(
+        self, residual: Float[np.ndarray, "n 4"], open_: Float[np.ndarray, "n 4 4"]
+    ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3 3"]]:
+        """Errors of the points that residuals tell, each by itself, and the covariance that is
+        left of them; what the surface leaves open is added to each.
+        """
+        shared = self.point @ np.swapaxes(self.factor, 1, 2)
+        told = shared @ np.linalg.inv(self.own + open_)
+        left = self.point @ np.swapaxes(self.point, 1, 2) - told @ np.swapaxes(shared, 1, 2)
+        return np.einsum("nij,nj->ni", told, residual), left
 
     def among(
         self, rows: Int[np.ndarray, "k"], added: Float[np.ndarray, "k 4 4"] | None = None
@@ -104,9 +116,9 @@ def _errors(
     covariance: Float[np.ndarray, "n 6 6"],
     curvature: Float[np.ndarray, "n 3 3"],
     extent: float,
-) -> tuple[Float[np.ndarray, "n 4 7"], Float[np.ndarray, "n 4 4"]]:
-    """Factors of the errors, and what is added to them. Joint covariances whose parts were
-    approximated separately may be indefinite; the nearest that is not counts.
+) -> tuple[Float[np.ndarray, "n 4 7"], Float[np.ndarray, "n 3 7"], Float[np.ndarray, "n 4 4"]]:
+    """Factors of the errors and of the points', and what is added. Joint covariances whose parts
+    were approximated separately may be indefinite; the nearest that is not counts.
     """
     rows = np.zeros((len(normal), JET, 6))
     rows[:, 0, :3], rows[:, 1:, :3], rows[:, 1:, 3:] = -normal, -curvature, np.eye(3)
@@ -121,11 +133,13 @@ def _errors(
     alone = np.zeros((len(normal), JET, JET))
     alone[:, 1:, 1:] = _UNIT**2 * normal[:, :, None] * normal[:, None]
     least = np.diag([(_FLOOR[0] * extent) ** 2, *[_FLOOR[1] ** 2] * 3])
-    return np.concatenate([rows * unit @ root, second], axis=2), alone + least
+    root *= unit[:, None]
+    point = np.concatenate([root[:, :3], np.zeros_like(second[:, :3])], axis=2)
+    return np.concatenate([rows @ root, second], axis=2), point, alone + least
 
 
 def lifted(
-    covariance: Float[np.ndarray, "n 6 6"], curvature: Float[np.ndarray, "n 3 3"]
+    covariance: Float[np.ndarray, "n k k"], curvature: Float[np.ndarray, "n 3 3"]
 ) -> Float[np.ndarray, "n"]:
     """How far contacts lie in front of a curved surface on average, as they are off along it."""
     return 0.5 * np.einsum("nij,nji->n", curvature, covariance[:, :3, :3])

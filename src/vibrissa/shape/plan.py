@@ -266,11 +266,12 @@ class _Planned(NamedTuple):
     def _touched(
         self, lines: Float[np.ndarray, "m n k 3"], there: Bool[np.ndarray, "m n k"]
     ) -> list[Float[np.ndarray, "_ 3"]]:
-        """Points of the surface next to the first point of each line that is there."""
+        """Places next to the first point of each line that is there, each place once."""
         trail, row = np.nonzero(there.any(axis=2))
-        points = lines[trail, row, np.argmax(there[trail, row], axis=1)]
-        points = _onto(self.surface, points)
-        return [points[trail == number] for number in range(len(lines))]
+        first = lines[trail, row, np.argmax(there[trail, row], axis=1)]
+        nearest = KDTree(self.places).query(first)[1]
+        each = [dict.fromkeys(nearest[trail == number].tolist()) for number in range(len(lines))]
+        return [self.places[list(places)] for places in each]
 
     def scanned(self, rod: Rod, trails: Trail, rows: Int[np.ndarray, "k"], friction: float) -> Scan:
         """What the forward model finds."""

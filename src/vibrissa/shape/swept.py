@@ -69,6 +69,7 @@ def swept_points(
 def emptied(
     level: Level,
     sites: Sites,
+    place: Float[np.ndarray, "n 3"],
     target: Float[np.ndarray, "n 4"],
     noise: Noise,
     points: Float[np.ndarray, "k 3"],
@@ -79,7 +80,7 @@ def emptied(
 
     Points are added where the surface so far leaves them open, as long as there are any.
     """
-    contacts, places = sites.touched, level.places(sites.point)
+    contacts, places = sites.touched, level.places(place)
     carriers = len(level.found.basis.sites.value)
     points = _thinned(points, contacts, level.ball, extent)
     deepest = _contradicted(level, points, contacts, extent)

@@ -54,9 +54,10 @@ _ROUGH_STEPS, MOST_STEPS = 8, 12
 phases of a contact on a torus were judged before it had settled, and were wrong.
 """
 _FLANK_STEPS = 3
-_LONGEST = 1.0
-"""The largest of them in any coordinate [EI/L, EI/L², L]. Where a rod is hardly loaded, after it
+_LONGEST = 4.0
+"""The largest of them in any coordinate [EI/L, EI/L², L]. Where a rod is hardly loaded after it
 snapped over a sharp edge, longer ones ran away: within four, samples were outliers, and force 200.
+Some starts of contacts need steps of more than 1.
 """
 _NEAR = 1
 """Steps after which the intensities are estimated."""

@@ -2,7 +2,8 @@
 
 1. Contacts are raised above the object, where its edges are round, and pooled along their sweeps
    (`sites`).
-2. A first surface, from a part of them, gives curvatures, directions and outliers.
+2. A first surface, from a part of them, gives curvatures, directions and outliers, and where along
+   it contacts are.
 3. The surface itself: its covariance tells the two sides of an edge apart by the first surface's
    directions (`prior.Folds`), its scales come from the evidence, outliers lose their weight, and
    errors are correlated along a sweep as much as residuals are (`noise`).
@@ -195,8 +196,8 @@ class Fitting:
     """Where their values and gradients are told: their points, less what is known of how far these
     are off along the surface.
     """
-    lift: Float[np.ndarray, "n"]
-    """How far in front of the surface they lie on average, by what is not known of it."""
+    left: Float[np.ndarray, "n 3 3"]
+    """Covariance of what is not known of it."""
     extent: float
     curvature: Float[np.ndarray, "n 3 3"]
     weight: Float[np.ndarray, "n"]
@@ -207,7 +208,8 @@ class Fitting:
         """Errors of the sites, with another factor or other weights if asked."""
         scale = self.scales.noise if scale is None else scale
         weight = (self.weight if weight is None else weight) / scale**2
-        return Noise.of(self.sites, self.curvature, weight, self.reach, self.extent)
+        of = self.sites, self.curvature, weight, self.reach, self.extent
+        return Noise.of(*of, left=self.left)
 
     def part(self, rows: Int[np.ndarray, "rows"]) -> "Fitting":
         """Some of the sites."""
@@ -215,7 +217,7 @@ class Fitting:
             self,
             sites=self.sites.part(rows),
             place=self.place[rows],
-            lift=self.lift[rows],
+            left=self.left[rows],
             curvature=self.curvature[rows],
             weight=self.weight[rows],
         )
@@ -224,7 +226,8 @@ class Fitting:
         """What the level's value and gradient should be, less the mean's."""
         moved = self.sites.point - self.place
         turned = np.einsum("nij,nj->ni", self.curvature, moved)
-        wanted = np.column_stack([self.lift, self.sites.normal - turned])
+        lift = lifted(self.left, self.curvature)
+        wanted = np.column_stack([lift, self.sites.normal - turned])
         return wanted - ball.at(self.place)
 
     def residual(self, level: Level) -> Float[np.ndarray, "n 4"]:
@@ -243,7 +246,7 @@ class Fitting:
         error *= self.weight[:, None]
         normal = self.sites.normal
         error -= np.sum(error * normal, axis=1)[:, None] * normal
-        return replace(fit, place=self.sites.point - error, lift=lifted(left, fit.curvature))
+        return replace(fit, place=self.sites.point - error, left=left)
 
     def judged(self, level: Level, open_: Float[np.ndarray, "n 4 4"], *, alike: bool) -> "Fitting":
         """With weights by the residuals (Student's t, as iteratively reweighted least squares),
@@ -260,7 +263,8 @@ def _start(sites: Sites, extent: float, scales: Scales) -> Fitting:
     count = len(sites.point)
     flat, all_ = np.zeros((count, 3, 3)), np.ones(count)
     reach = 3 * float(sites.size.mean())
-    return Fitting(sites, sites.point, np.zeros(count), extent, flat, all_, reach, scales)
+    left = sites.covariance[:, :3, :3]
+    return Fitting(sites, sites.point, left, extent, flat, all_, reach, scales)
 
 
 def _first(part: Fitting, ball: Ball, expected: Expected) -> tuple[Level, Fitting]:
@@ -276,13 +280,13 @@ def _first(part: Fitting, ball: Ball, expected: Expected) -> tuple[Level, Fittin
 
 def _carried(part: Fitting, first: Level, sites: Sites) -> Fitting:
     """What the first surface says of all sites."""
-    point, bent = sites.point, first.curvature(sites.point)
+    point = sites.point
     fit = replace(
         part,
         sites=sites,
         place=point,
-        lift=lifted(sites.covariance, bent),
-        curvature=bent,
+        left=sites.covariance[:, :3, :3],
+        curvature=first.curvature(point),
         weight=np.ones(len(point)),
     )
     open_ = np.zeros((len(point), JET, JET))

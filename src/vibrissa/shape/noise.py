@@ -4,7 +4,8 @@ A contact at p = x + e with normal n + η, where x lies on the surface, says f(p
 ∇f(p) = n + η, with errors −n·e and η − H e: a point off along a curved surface carries the normal
 of another place (H is the second derivative of f). It also lies in front of a convex surface: to
 second order f(p) has the mean ½ tr(H Σ) and the further variance ½ tr((H Σ)²), Σ the covariance of
-e. An edge of 3 mm and an error of 0.5 mm along the rod make 0.04 mm. Errors of neighbours in a
+e. An edge of 3 mm and an error of 0.5 mm along the rod make 0.04 mm. Where the normal tells e,
+value and gradient are told at p less that, and Σ is what is left of it. Errors of neighbours in a
 sweep are alike, as a smoother uses the same samples for both: their correlation falls as
 exp(−|i − j|/τ), except for a share that belongs to the whole sweep, as errors of the tare do.
 """
@@ -62,11 +63,15 @@ class Noise(NamedTuple):
         reach: float,
         extent: float,
         doubt: float = _DOUBT,
+        left: Float[np.ndarray, "n 3 3"] | None = None,
     ) -> "Noise":
-        """Errors, where surfaces are curved so and single contacts count less than fully."""
+        """Errors, where surfaces are curved so and single contacts count less than fully; of their
+        points, the covariance `left` is not known yet, by default all.
+        """
+        left = sites.covariance[:, :3, :3] if left is None else left
         scale = _ends(sites, reach, doubt) ** 2 * sites.alike / weight
         root = np.sqrt(scale)[:, None, None]
-        factor, point, alone = _errors(sites.normal, sites.covariance, curvature, extent)
+        factor, point, alone = _errors(sites.normal, sites.covariance, left, curvature, extent)
         groups = _chunks(sites)
         return cls(factor * root, point * root, alone * root**2, sites.order, groups, reach)
 
@@ -78,7 +83,8 @@ class Noise(NamedTuple):
         extent: float,
     ) -> Float[np.ndarray, "n 4 4"]:
         """Covariance of single contacts, as stated."""
-        factor, _, alone = _errors(normal, covariance, curvature, extent)
+        left = covariance[:, :3, :3]
+        factor, _, alone = _errors(normal, covariance, left, curvature, extent)
         return factor @ np.swapaxes(factor, 1, 2) + alone
 
     @property
@@ -114,6 +120,7 @@ class Noise(NamedTuple):
 def _errors(
     normal: Float[np.ndarray, "n 3"],
     covariance: Float[np.ndarray, "n 6 6"],
+    left: Float[np.ndarray, "n 3 3"],
     curvature: Float[np.ndarray, "n 3 3"],
     extent: float,
 ) -> tuple[Float[np.ndarray, "n 4 7"], Float[np.ndarray, "n 3 7"], Float[np.ndarray, "n 4 4"]]:
@@ -122,7 +129,7 @@ def _errors(
     """
     rows = np.zeros((len(normal), JET, 6))
     rows[:, 0, :3], rows[:, 1:, :3], rows[:, 1:, 3:] = -normal, -curvature, np.eye(3)
-    bent = curvature @ covariance[:, :3, :3]
+    bent = curvature @ left
     second = np.zeros((len(normal), JET, 1))
     second[:, 0, 0] = np.sqrt(np.maximum(0.5 * np.einsum("nij,nji->n", bent, bent), 0))
     # The symmetric root, so that errors of neighbours go the same way; of points relative to the
@@ -141,7 +148,9 @@ def _errors(
 def lifted(
     covariance: Float[np.ndarray, "n k k"], curvature: Float[np.ndarray, "n 3 3"]
 ) -> Float[np.ndarray, "n"]:
-    """How far contacts lie in front of a curved surface on average, as they are off along it."""
+    """How far contacts lie in front of a curved surface on average, as they are off along it, by
+    the covariance of their points, or of points and normals.
+    """
     return 0.5 * np.einsum("nij,nji->n", curvature, covariance[:, :3, :3])
 
 

@@ -235,18 +235,16 @@ class Fitting:
         return self.target(level.ball) - np.column_stack(level.total.at(level.places(self.place)))
 
     def placed(self, level: Level, open_: Float[np.ndarray, "n 4 4"]) -> "Fitting":
-        """With curvatures, and with places: a normal tells where along a curved surface a contact
-        was. Told at their points instead, normals turn too slowly along the surface, as in any
-        regression on a variable with errors, and edges of what was touched came out up to 0.1 mm
-        too far out.
+        """With places: a normal tells where along a curved surface a contact was. Told at their
+        points, normals turn too slowly along the surface, as in any regression on a variable with
+        errors, and edges of what was touched came out up to 0.1 mm too far out.
         """
-        fit = replace(self, curvature=level.curvature(self.place))
-        error, left = fit.noise().of_points(fit.residual(level), open_)
+        error, left = self.noise().of_points(self.residual(level), open_)
         # Outliers tell less.
         error *= self.weight[:, None]
         normal = self.sites.normal
         error -= np.sum(error * normal, axis=1)[:, None] * normal
-        return replace(fit, place=self.sites.point - error, left=left)
+        return replace(self, place=self.sites.point - error, left=left)
 
     def judged(self, level: Level, open_: Float[np.ndarray, "n 4 4"], *, alike: bool) -> "Fitting":
         """With weights by the residuals (Student's t, as iteratively reweighted least squares),
@@ -274,7 +272,8 @@ def _first(part: Fitting, ball: Ball, expected: Expected) -> tuple[Level, Fittin
         if number < _ROUNDS - 1:
             part = replace(part, scales=_likely(part, ball, None, expected))
         level, data = _surface(part, ball, None, len(part.weight))
-        part = part.judged(level, data.open, alike=True).placed(level, data.open)
+        part = part.judged(level, data.open, alike=True)
+        part = replace(part, curvature=level.curvature(part.place))
     return level, part
 
 

@@ -6,7 +6,7 @@ All candidates are compared by a rod that stays straight and touches where it en
 or where it is deepest inside; the best of them by either are scanned. Far from contacts the mean
 surface may be off by a fifth of the object, and the sweep that promises most on it alone is often
 one that finds little, or nothing. There, what a straight rod promises that touches where it enters
-counts, on average over the mean surface and lower ones.
+counts, on average over the mean surface and a lower one.
 """
 
 from __future__ import annotations
@@ -48,8 +48,11 @@ _MODELLED = 12
 """Candidates that are scanned at a time."""
 _CONTACTS = 8
 """Contacts of a sweep that are expected to say something: neighbours say the same."""
-_LOWER = 0.0, 0.25, 0.5
-"""Deviations by which the surface may be lower where a straight rod enters it."""
+_LOWER = 0.0, 0.25
+"""Deviations by which the surface may be lower where a straight rod enters it. With half a
+deviation as well, what was chosen over a block took 0.76, not 0.82 of what the best sweep would
+have taken.
+"""
 _RELIED = 0.06
 """Deviation of the surface where the rod touches it, relative to the extent, at which what the
 forward model promises counts for half. Of what the best sweep takes away, on average over 52 states
@@ -75,7 +78,9 @@ class NextSweep:
         (m,) their numbers, the best first: those that were scanned before those that were only
         compared, and those that must not be driven last.
     gain
-        (m,) expected decrease of `unknown`; 0 for sweeps that touch nothing or must not be driven.
+        (m,) expected decrease of `unknown`; with a tolerance, of the part of it that sweeps take
+        away by their contacts, not by leaving fewer places beyond contacts. 0 for sweeps that touch
+        nothing or must not be driven.
     unknown
         Mean standard deviation of the surface, or, with a tolerance, the expected share of it that
         is off by more than that.
@@ -356,14 +361,26 @@ class _Gains(NamedTuple):
     @property
     def unknown(self) -> float:
         """Mean over the places."""
-        return self._unknown(self.stated, self.variance)
+        return self._counted(self.stated.deviations(self.variance))
 
-    def _unknown(self, stated: Stated, variance: Float[np.ndarray, "n"]) -> float:
-        deviation = stated.deviations(variance)
+    def _counted(self, deviation: Float[np.ndarray, "n"]) -> float:
+        """The mean, or with a tolerance the share that is off by more."""
         if self.tolerance is None:
             return float(np.mean(deviation))
-        scaled = self.tolerance / (np.sqrt(2) * np.maximum(deviation, 1e-300))
-        return float(np.mean(erfc(scaled)))
+        return float(np.mean(erfc(self.tolerance / np.maximum(np.sqrt(2) * deviation, 1e-300))))
+
+    def _left(
+        self, variance: Float[np.ndarray, "n"], added: Float[np.ndarray, "k 3"] | None = None
+    ) -> float:
+        """What counts as unknown with such variances, after contacts at some points more.
+
+        Where a tolerance asks for a share, what is added beyond contacts hides what a sweep does:
+        without it, 9 sweeps instead of 10.6 made 95 % of a block known within 2 mm.
+        """
+        if self.tolerance is not None:
+            return self._counted(self.stated.by_level(variance))
+        stated = self.stated if added is None else self.stated.touched(self.contacts, added)
+        return self._counted(stated.deviations(variance))
 
     def expected(self, contacts: Sequence[Float[np.ndarray, "_ 3"]]) -> Float[np.ndarray, "sweeps"]:
         """Expected decrease by each sweep with contacts at such points."""
@@ -380,7 +397,7 @@ class _Gains(NamedTuple):
         left = solve_triangular(found.root, rows, lower=True, check_finite=False)
         cross = covariance_of_values(kernel, self.places, here)
         cross -= self.known @ rows
-        errors, unknown, first = self._errors(raised, normal), self.unknown, 0
+        errors, before, first = self._errors(raised, normal), self._left(self.variance), 0
         for number, each in enumerate(few):
             if not len(each):
                 continue
@@ -392,8 +409,7 @@ class _Gains(NamedTuple):
             root = cholesky(own, lower=True, check_finite=False)
             told = solve_triangular(root, cross[:, columns].T, lower=True, check_finite=False)
             variance = np.maximum(self.variance - np.sum(told**2, axis=0), 0)
-            stated = self.stated.touched(self.contacts, each)
-            decrease[number] = unknown - self._unknown(stated, variance)
+            decrease[number] = before - self._left(variance, each)
         return decrease
 
     def _errors(

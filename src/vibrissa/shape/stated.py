@@ -91,7 +91,11 @@ class Stated(NamedTuple):
         """Deviations of distances for variances of the level above these places."""
         unseen = _UNSEEN * self.extent * (self.away / self.extent) ** 1.5
         open_ = self.aside * np.hypot(unseen, _DEPARTED * self.departures.at(self.away))
-        return np.hypot(np.sqrt(variance) * self.factor, open_)
+        return np.hypot(self.by_level(variance), open_)
+
+    def by_level(self, variance: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+        """The same without what edges that were not touched may add."""
+        return np.sqrt(variance) * self.factor
 
 
 def _nearest(

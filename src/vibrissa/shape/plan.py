@@ -57,8 +57,9 @@ _RELIED = 0.06
 """Deviation of the surface where the rod touches it, relative to the extent, at which what the
 forward model promises counts for half. Of what the best sweep takes away, on average over 52 states
 of a block, the forward model alone chose 0.52 (share within 2 mm) and 0.66 (mean deviation),
-straight rods alone 0.75 and 0.81, and the two together 0.72 and 0.80; where the surface is known
-well, as on an ellipsoid, straight rods alone are wrong.
+straight rods alone 0.75 and 0.81, and the two together 0.72 and 0.80, all with half a deviation
+among the lower surfaces; where the surface is known well, as on an ellipsoid, straight rods alone
+are wrong.
 """
 _KEPT = 300
 """Contacts so far that tell whether a place is between contacts."""

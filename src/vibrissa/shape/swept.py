@@ -75,8 +75,8 @@ def emptied(
     points: Float[np.ndarray, "k 3"],
     extent: float,
 ) -> tuple[Level, list[str]]:
-    """The random surface given, besides these contacts, that these points are outside; and a line
-    if contacts alone surely put some of them inside.
+    """The random surface given, besides these contacts as they are told at their places, that these
+    points are outside; and a line if contacts alone surely put some of them inside.
 
     Points are added where the surface so far leaves them open, as long as there are any.
     """

@@ -52,16 +52,19 @@ def test_a_ball_is_as_large_as_it_is_however_far_contacts_are_off_along_it():
 SQUAT = vb.surfaces.Ellipsoid(center=(0, 0, 0), semi_axes=(0.022, 0.022, 0.010))
 
 
+def aims(height, turn):
+    """Directions (n, 3) by their heights and turns about z [rad]."""
+    across = np.sqrt(1 - height**2)
+    return np.column_stack([across * np.cos(turn), across * np.sin(turn), height])
+
+
 def meridians(surface, highest, rng):
     """24 sweeps up an object, each off along it as a whole, by 0.8 mm, with normals that are known
     to 4 mrad.
     """
     parts = []
     for turn in np.linspace(0, 2 * np.pi, 24, endpoint=False):
-        height = np.linspace(-0.98, highest, 30)
-        across = np.sqrt(1 - height**2)
-        aim = np.column_stack([across * np.cos(turn), across * np.sin(turn), height])
-        point = on_surface(surface, 0.025 * aim)
+        point = on_surface(surface, 0.025 * aims(np.linspace(-0.98, highest, 30), turn))
         normal = surface.normal(point)
         up = np.array([0.0, 0.0, 1.0]) - normal * normal[:, 2:]
         up /= np.linalg.norm(up, axis=1, keepdims=True)
@@ -92,9 +95,7 @@ def test_normals_tell_where_along_the_surface_contacts_are(surface, highest, nea
     for seed in range(2):
         rng = np.random.default_rng(seed)
         shape = vb.fit_shape(meridians(surface, highest, rng))
-        height, turn = rng.uniform(*near, 500), rng.uniform(0, 2 * np.pi, 500)
-        across = np.sqrt(1 - height**2)
-        aim = np.column_stack([across * np.cos(turn), across * np.sin(turn), height])
+        aim = aims(rng.uniform(*near, 500), rng.uniform(0, 2 * np.pi, 500))
         point = on_surface(surface, 0.025 * aim)
         distance = shape.distance(point)
         off.append(distance.mean())

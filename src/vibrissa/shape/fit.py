@@ -237,7 +237,8 @@ class Fitting:
     def placed(self, level: Level, open_: Float[np.ndarray, "n 4 4"]) -> "Fitting":
         """With places: a normal tells where along a curved surface a contact was. Told at their
         points, normals turn too slowly along the surface, as in any regression on a variable with
-        errors, and edges of what was touched came out up to 0.1 mm too far out.
+        errors (Fuller, *Measurement Error Models*, 1987), and edges of what was touched came out up
+        to 0.1 mm too far out.
         """
         error, left = self.noise().of_points(self.residual(level), open_)
         # Outliers tell less.

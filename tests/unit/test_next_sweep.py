@@ -101,10 +101,11 @@ def test_what_contacts_take_away_is_that_of_plain_conditioning(known):
     above = shape.level.feet(places, shape.extent).raised
     both = shape.level.places(np.concatenate([above, raised]))
     prior = covariance(found.basis.kernel, both, both)
-    among = found.basis.root @ found.basis.root.T
+    root = np.linalg.inv(found.basis.inverse)
+    among = root @ root.T
     weights = np.linalg.solve(among, covariance(found.basis.kernel, found.basis.sites, both)).T
     precision = found.root @ found.root.T
-    of_sites = found.basis.root @ np.linalg.solve(precision, found.basis.root.T)
+    of_sites = root @ np.linalg.solve(precision, root.T)
     given = prior + weights @ (of_sites - among) @ weights.T
     told, values = np.arange(4 * 30, 4 * 36), 4 * np.arange(30)
     seen = given[np.ix_(told, told)] + block_diag(*gains._errors(raised, normal))

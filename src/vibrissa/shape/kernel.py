@@ -43,10 +43,15 @@ class Matern(NamedTuple):
         """√5/ℓ."""
         return float(_ROOT / self.length)
 
-    def faded(self, far: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Values of t and σ² exp(−t) at distances."""
-        t = self.rate * far
-        return t, self.deviation**2 * np.exp(-t)
+    def faded(self, far: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """σ²/3 exp(−t) at distances, and its products with 1 + t and t²."""
+        t = -self.rate * far
+        fade = np.exp(t)
+        fade *= self.deviation**2 / 3
+        bent = fade * t
+        once = fade - bent
+        bent *= t
+        return fade, once, bent
 
 
 class Kernel(NamedTuple):
@@ -62,13 +67,16 @@ class Kernel(NamedTuple):
 
     def slopes(self, squared: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """k, b and c at squared distances."""
+        far = np.sqrt(squared)
         k, b, c = np.zeros((3, *squared.shape))
         for part in self:
-            t, fade = part.faded(np.sqrt(squared))
-            third = fade / 3
-            c += part.rate**4 * third
-            b += part.rate**2 * (1 + t) * third
-            k += (3 + t * (3 + t)) * third
+            fade, once, bent = part.faded(far)
+            fade *= part.rate**4
+            c += fade
+            bent += 3 * once
+            k += bent
+            once *= part.rate**2
+            b += once
         return k, b, c
 
     def bends(self, squared: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -76,13 +84,15 @@ class Kernel(NamedTuple):
         far = np.sqrt(np.maximum(squared, _TINY))
         b, c, bend = np.zeros((3, *squared.shape))
         for part in self:
-            t, fade = part.faded(far)
-            third = part.rate**2 / 3 * fade
-            b += (1 + t) * third
-            third *= part.rate**2
-            c += third
-            bend += part.rate * third
-        return b, c, bend / far
+            fade, once, _ = part.faded(far)
+            once *= part.rate**2
+            b += once
+            fade *= part.rate**4
+            c += fade
+            fade *= part.rate
+            bend += fade
+        bend /= far
+        return b, c, bend
 
 
 class Coordinates(NamedTuple):
@@ -169,8 +179,12 @@ def covariance_of_values(
 
 def blocks(count: int, others: int) -> list[slice]:
     """Rows, in blocks of as many as suit the cache if each is paired with so many others."""
-    step = max(_BLOCK // others, 1)
-    return [slice(start, start + step) for start in range(0, max(count, 1), step)]
+    return parts_of(count, max(_BLOCK // others, 1))
+
+
+def parts_of(count: int, most: int) -> list[slice]:
+    """Rows, in parts of so many; one part, which is empty, if there are none."""
+    return [slice(start, start + most) for start in range(0, max(count, 1), most)]
 
 
 def squares(left: np.ndarray, right: np.ndarray) -> np.ndarray:

@@ -7,14 +7,16 @@ from jaxtyping import Bool, Float, Int
 from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial import KDTree
 
+from vibrissa.numerics.lanes import in_threads
+from vibrissa.shape.kernel import parts_of
 from vibrissa.shape.level import Level
 from vibrissa.shape.noise import Noise, lifted, squared
 from vibrissa.shape.posterior import LeftOut
 from vibrissa.shape.sites import Gathered, Sites
 
 Curvature = Callable[[Float[np.ndarray, "n 3"]], Float[np.ndarray, "n 3 3"]]
-_ROWS = 8192
-"""Contacts at a time: some tens of MB."""
+_ROWS = 1024
+"""Contacts at a time in each thread: some MB."""
 _GROSS = 30.0
 """Squared residual, in stated errors, above which a contact is an outlier."""
 _OFF, _TILTED = 5e-4, 0.03
@@ -47,11 +49,13 @@ def doubtful(given: Gathered, level: Level, curvature: Curvature) -> Int[np.ndar
     """Contacts that a surface, taken as sure, does not readily explain: no others need be judged by
     one that is better known.
     """
-    found = np.zeros(len(given.point), dtype=bool)
-    for start in range(0, len(found), _ROWS):
-        rows = np.arange(start, min(start + _ROWS, len(found)))
-        found[rows] = _squares(given, rows, level, curvature, sure=True) > _GROSS / 4
-    return np.flatnonzero(found)
+    every = np.arange(len(given.point))
+
+    def squares(rows: slice) -> np.ndarray:
+        return _squares(given, every[rows], level, curvature, sure=True)
+
+    found = np.concatenate(in_threads(squares, parts_of(len(every), _ROWS)))
+    return np.flatnonzero(found > _GROSS / 4)
 
 
 def outliers_of(

@@ -4,8 +4,9 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
-from scipy.linalg import LinAlgError, cholesky, solve_triangular
+from jaxtyping import Float, Int
+from scipy.linalg import LinAlgError, cho_solve, cholesky, solve_triangular
+from scipy.linalg.lapack import dpotri
 from scipy.optimize import minimize
 
 from vibrissa.shape.kernel import JET, Coordinates, Kernel, Matern, Sum, covariance
@@ -116,14 +117,16 @@ def most_likely(
     noise: Noise,
     target: Float[np.ndarray, "n 4"],
     extent: float,
+    left_out: float,
 ) -> Scales:
-    """Scales of greatest evidence times prior, for contacts few enough for their matrix.
+    """Scales of greatest evidence times prior, for contacts few enough for their matrix; with the
+    share `left_out` of the evidence replaced by how probable each sweep is given all others.
 
     `coordinates` gives those of the contacts by the fold.
     """
     median, spread = np.log(expected.median), np.asarray(expected.spread)
     free = spread > 0
-    errors = _whole(noise)
+    errors, sweeps = _whole(noise), [columns_of(np.sort(rows)) for rows in noise.groups]
 
     def loss(free_logs: np.ndarray) -> float:
         logs = median.copy()
@@ -135,9 +138,12 @@ def most_likely(
             root = cholesky(whole, lower=True, check_finite=False)
         except LinAlgError:
             return np.inf
-        half = solve_triangular(root, target.ravel(), lower=True, check_finite=False)
+        pull = cho_solve((root, True), target.ravel(), check_finite=False)
         away = (logs - median)[free] / spread[free]
-        return float(0.5 * (half @ half + away @ away) + np.log(np.diag(root)).sum())
+        told = 0.5 * float(target.ravel() @ pull) + float(np.log(np.diag(root)).sum())
+        if left_out:
+            told += left_out * (_left_out(dpotri(root, lower=1)[0], pull, sweeps) - told)
+        return told + 0.5 * float(away @ away)
 
     first = np.log(start)[free]
     simplex = np.concatenate([first[None], first + 0.5 * np.eye(len(first))])
@@ -147,6 +153,23 @@ def most_likely(
     logs = median.copy()
     logs[free] = best.x
     return Scales(*np.exp(logs).tolist())
+
+
+def _left_out(
+    inverse: Float[np.ndarray, "rows rows"],
+    pull: Float[np.ndarray, "rows"],
+    sweeps: list[Int[np.ndarray, "_"]],
+) -> float:
+    """Minus the logarithm of the probability of each sweep given all others, by the lower triangle
+    of the inverse covariance K⁻¹ of all data y, and K⁻¹ y: the prediction of the rows s is off by
+    ([K⁻¹]ₛₛ)⁻¹ [K⁻¹ y]ₛ with the covariance ([K⁻¹]ₛₛ)⁻¹ (Rasmussen & Williams, section 5.4.2).
+    """
+    told = 0.0
+    for rows in sweeps:
+        root = cholesky(inverse[np.ix_(rows, rows)], lower=True, check_finite=False)
+        half = solve_triangular(root, pull[rows], lower=True, check_finite=False)
+        told += 0.5 * float(half @ half) - float(np.log(np.diag(root)).sum())
+    return told
 
 
 def _whole(noise: Noise) -> np.ndarray:

@@ -168,14 +168,14 @@ def left_out(known: Posterior, data: Data, noise: Noise) -> list[LeftOut]:
     covariance ([K⁻¹]ₛₛ)⁻¹ (Rasmussen & Williams, section 5.4.2, for groups).
     """
     told = []
+    off = data.target.ravel() - known.mean @ data.rows
+    left = solve_triangular(known.root, data.rows, lower=True, check_finite=False)
     for rows in noise.groups:
         columns = columns_of(rows)
         whole = noise.among(rows, data.open[rows])
-        here = data.rows[:, columns]
-        residual = data.target[rows].ravel() - known.mean @ here
-        left = solve_triangular(known.root, here, lower=True, check_finite=False)
+        residual, here = off[columns], left[:, columns]
         # What these rows themselves told is taken off: (R − V)⁻¹ with V the posterior covariance.
-        inside = left.T @ left
+        inside = here.T @ here
         rest = whitened(whole - inside, np.column_stack([residual, inside[:, ::JET]]))
         found = whole[::JET] @ rest
         told.append((found[:, 0], found[:, 1:], whole[::JET, ::JET]))

@@ -6,11 +6,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 
 import vibrissa.numerics  # noqa: F401, double precision
 from vibrissa.shape.kernel import Coordinates, Kernel, Matern, Sum, covariance, variances
 from vibrissa.shape.noise import Noise
 from vibrissa.shape.posterior import Basis, Data, information, left_out
+from vibrissa.shape.prior import _left_out
 from vibrissa.shape.sites import Sites
 
 KERNEL = Kernel(Matern(0.7, 1.3), Matern(0.1, 0.4))
@@ -176,3 +178,24 @@ def test_space_known_to_be_empty_has_the_moments_of_the_truncated_level(data):
     narrowed = _given_outside(level, places, target, noise, empty, 14)
     np.testing.assert_allclose(narrowed.values(asked), kept.mean(axis=0), atol=0.02)
     np.testing.assert_allclose(np.sqrt(narrowed.variance(asked)), kept.std(axis=0), rtol=0.06)
+
+
+def test_each_sweep_is_as_probable_as_given_all_others():
+    """Their conditional densities, one by one; of a single sweep, that of all data."""
+    rng, count = np.random.default_rng(4), 24
+    root = rng.normal(size=(count, count))
+    covariance, told = root @ root.T + np.eye(count), rng.normal(size=count)
+    rows = rng.permutation(count)
+    for ends in ([5, 6, 15], []):
+        sweeps, expected = [np.sort(part) for part in np.split(rows, ends)], 0.0
+        for here in sweeps:
+            others = np.setdiff1d(rows, here)
+            among = covariance[np.ix_(others, others)]
+            weights = np.linalg.solve(among, covariance[np.ix_(others, here)]).T
+            left = covariance[np.ix_(here, here)] - weights @ covariance[np.ix_(others, here)]
+            expected -= multivariate_normal(weights @ told[others], left).logpdf(told[here])
+        inverse = np.tril(np.linalg.inv(covariance))
+        found = _left_out(
+            inverse, np.linalg.solve(covariance, told), [here[None] for here in sweeps]
+        )
+        assert found + count / 2 * np.log(2 * np.pi) == pytest.approx(expected, rel=1e-9)

@@ -5,7 +5,7 @@
 2. A first surface, from a part of them, gives curvatures, directions and outliers, and where along
    it contacts are.
 3. The surface itself: its covariance tells the two sides of an edge apart by the first surface's
-   directions (`prior.Folds`), its scales come from the evidence, outliers lose their weight, and
+   directions (`prior.Folds`), its scales come from the contacts, outliers lose their weight, and
    errors are correlated along a sweep as much as residuals are (`noise`).
 4. Two surfaces, each through half of the sweeps, tell how far deviations can be believed
    (`halves`).
@@ -114,7 +114,7 @@ def fit_shape(
         Elastic lines (k, m, 3), or several such arrays: rods whose every point was outside the
         object, as `Reconstruction.elastic_lines` gives them for rows without contact.
     length_scale
-        Length over which the surface changes; by default what the evidence says.
+        Length over which the surface changes; by default what the contacts say.
 
     Returns
     -------
@@ -338,7 +338,7 @@ def _excess(others: list[LeftOut], share: float) -> float:
 
 
 def _likely(fit: Fitting, ball: Ball, folds: Folds | None, expected: Expected) -> Scales:
-    """Scales of greatest evidence, from a part of the sites."""
+    """The most likely scales, from a part of the sites."""
     part = fit.part(_every(len(fit.weight), _TRIED))
     places = places_of(folds, part.place)
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.linalg import LinAlgError, cho_solve, cholesky, solve_triangular
+from scipy.linalg import LinAlgError, cho_solve, cholesky
 from scipy.linalg.lapack import dpotri
 from scipy.optimize import minimize
 
@@ -86,7 +86,7 @@ class Folds(NamedTuple):
 
 
 class Scales(NamedTuple):
-    """What the evidence determines: σ and ℓ of the level, the weight of directions, and a factor of
+    """What contacts determine: σ and ℓ of the level, the weight of directions, and a factor of
     the stated errors' deviations.
     """
 
@@ -126,7 +126,10 @@ def most_likely(
     """
     median, spread = np.log(expected.median), np.asarray(expected.spread)
     free = spread > 0
-    errors, sweeps = _whole(noise), [columns_of(np.sort(rows)) for rows in noise.groups]
+    errors = _whole(noise)
+    columns = [columns_of(np.sort(rows)) for rows in noise.groups]
+    sizes = sorted({len(own) for own in columns})
+    sweeps = [np.stack([own for own in columns if len(own) == size]) for size in sizes]
 
     def loss(free_logs: np.ndarray) -> float:
         logs = median.copy()
@@ -136,13 +139,13 @@ def most_likely(
         whole = covariance(scales.kernel(extent), places, places) + scales.noise**2 * errors
         try:
             root = cholesky(whole, lower=True, check_finite=False)
+            pull = cho_solve((root, True), target.ravel(), check_finite=False)
+            told = 0.5 * float(target.ravel() @ pull) + float(np.log(np.diag(root)).sum())
+            if left_out:
+                told += left_out * (_left_out(dpotri(root, lower=1)[0], pull, sweeps) - told)
         except LinAlgError:
             return np.inf
-        pull = cho_solve((root, True), target.ravel(), check_finite=False)
         away = (logs - median)[free] / spread[free]
-        told = 0.5 * float(target.ravel() @ pull) + float(np.log(np.diag(root)).sum())
-        if left_out:
-            told += left_out * (_left_out(dpotri(root, lower=1)[0], pull, sweeps) - told)
         return told + 0.5 * float(away @ away)
 
     first = np.log(start)[free]
@@ -158,17 +161,19 @@ def most_likely(
 def _left_out(
     inverse: Float[np.ndarray, "rows rows"],
     pull: Float[np.ndarray, "rows"],
-    sweeps: list[Int[np.ndarray, "_"]],
+    sweeps: list[Int[np.ndarray, "_ _"]],
 ) -> float:
     """Minus the logarithm of the probability of each sweep given all others, by the lower triangle
     of the inverse covariance K⁻¹ of all data y, and K⁻¹ y: the prediction of the rows s is off by
     ([K⁻¹]ₛₛ)⁻¹ [K⁻¹ y]ₛ with the covariance ([K⁻¹]ₛₛ)⁻¹ (Rasmussen & Williams, section 5.4.2).
+    `sweeps` holds ascending rows of sweeps, those of as many rows in one array.
     """
     told = 0.0
     for rows in sweeps:
-        root = cholesky(inverse[np.ix_(rows, rows)], lower=True, check_finite=False)
-        half = solve_triangular(root, pull[rows], lower=True, check_finite=False)
-        told += 0.5 * float(half @ half) - float(np.log(np.diag(root)).sum())
+        root = np.linalg.cholesky(inverse[rows[:, :, None], rows[:, None]])
+        half = np.linalg.solve(root, pull[rows][..., None])
+        told += 0.5 * float(np.sum(half**2))
+        told -= float(np.sum(np.log(np.diagonal(root, axis1=1, axis2=2))))
     return told
 
 

@@ -36,8 +36,8 @@ is between contacts, and from which it is beyond them.
 _NEAR = 0.05
 """Distance from contacts within which deviations are as much too large as at contacts, relative to
 the extent: 3 mm on an object of 40 mm. Of 38 sets of contacts of 15 objects, 95 % intervals near
-them hold 93 to 97 % for 18, more for 17 and less for 3; where this faded as a Gaussian of 0.04, for
-15, 20 and 3.
+them hold 93 to 97 % for 17, more for 16 and less for 5; where this faded as a Gaussian of 0.04, for
+16, 20 and 2.
 """
 _ACROSS = 0.5
 """Cosine of the angle to the opposite direction up to which a contact is on the other side."""

@@ -164,9 +164,8 @@ def _left_out(
     sweeps: list[Int[np.ndarray, "_ _"]],
 ) -> float:
     """Minus the logarithm of the probability of each sweep given all others, by the lower triangle
-    of the inverse covariance K⁻¹ of all data y, and K⁻¹ y: the prediction of the rows s is off by
-    ([K⁻¹]ₛₛ)⁻¹ [K⁻¹ y]ₛ with the covariance ([K⁻¹]ₛₛ)⁻¹ (Rasmussen & Williams, section 5.4.2).
-    `sweeps` holds ascending rows of sweeps, those of as many rows in one array.
+    of the inverse covariance K⁻¹ of all data y, and K⁻¹ y: for few data what `posterior.left_out`
+    tells of many. `sweeps` holds ascending rows of sweeps, those of as many rows in one array.
     """
     told = 0.0
     for rows in sweeps:

@@ -233,9 +233,9 @@ def _traced(
     if ends is None:
         contacts = shape.sites.touched
         near = contacts[np.argmin(np.abs((contacts - cut.point) @ cut.normal))]
-        begin = _onto(shape, cut, cut.point + cut.within(near - cut.point))
+        begin, _ = _onto(shape, cut, cut.point + cut.within(near - cut.point))
         return _walked(shape, cut, begin, begin, 1.0)
-    begin, goal = (_onto(shape, cut, each) for each in cut.point + cut.within(ends - cut.point))
+    begin, goal = (_onto(shape, cut, each)[0] for each in cut.point + cut.within(ends - cut.point))
     ways = [_walked(shape, cut, begin, goal, way) for way in (1.0, -1.0)]
     return min(ways, key=lambda way: (not way[1], KDTree(way[0]).query(touched)[0].mean()))
 
@@ -244,19 +244,23 @@ def _walked(
     shape: Shape, cut: _Plane, begin: np.ndarray, goal: np.ndarray, way: float
 ) -> tuple[Float[np.ndarray, "k 3"], bool]:
     """Points along the curve one way, and whether it comes to its goal."""
-    step, here, points = _STEP * shape.extent, begin, [begin]
+    step, points = _STEP * shape.extent, [begin]
+    here, slope = _onto(shape, cut, begin)
     for number in range(round(_LONGEST / _STEP)):
-        normal = cut.within(shape.normal(here[None])[0])
-        along = way * np.cross(cut.normal, normal)
-        here = _onto(shape, cut, here + step * along / np.linalg.norm(along))
+        along = way * np.cross(cut.normal, slope)
+        here, slope = _onto(shape, cut, here + step * along / np.linalg.norm(along))
         if number > 2 and np.linalg.norm(here - goal) < step:
             return np.array([*points, goal]), True
         points.append(here)
     return np.array(points), False
 
 
-def _onto(shape: Shape, cut: _Plane, point: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
-    """The place of the surface in the plane next to a point of the plane."""
+def _onto(
+    shape: Shape, cut: _Plane, point: Float[np.ndarray, "3"]
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """The place of the surface in the plane next to a point of the plane, and the part of its
+    normal in the plane.
+    """
     longest = 2 * _STEP * shape.extent
     for _ in range(_ROUNDS):
         feet = shape.level.feet(point[None], shape.extent)
@@ -266,12 +270,14 @@ def _onto(shape: Shape, cut: _Plane, point: Float[np.ndarray, "3"]) -> Float[np.
         point = point + move * min(1.0, longest / max(size, 1e-300))
         if size < _SETTLED * shape.extent:
             break
-    return point
+    return point, slope
 
 
 _PARALLEL = 1e-6
 """Sine of an angle that is none."""
-_ROUNDS, _SETTLED = 20, 1e-6
-"""Steps of Newton's method, and the last one, relative to the extent."""
+_ROUNDS, _SETTLED = 20, 3e-4
+"""Steps of Newton's method, and the last one, relative to the extent: the next would be a hundredth
+of it or less.
+"""
 _FLAT = 0.01
 """Least squared slope within the plane that is divided by."""

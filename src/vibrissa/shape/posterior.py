@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.linalg.blas import dtrmm
-from scipy.linalg.lapack import dtrtri
+from scipy.linalg.lapack import dpotri, dtrtri
 
 from vibrissa.shape.kernel import (
     JET,
@@ -57,12 +57,17 @@ class Basis(NamedTuple):
         """How value and gradient at places (4 rows each) depend on the unknowns."""
         return self._whitened(covariance(self.kernel, self.sites, places))
 
-    def values(self, places: Coordinates) -> Float[np.ndarray, "m n"]:
-        """How values at places depend on the unknowns."""
-        return self._whitened(covariance_of_values(self.kernel, places, self.sites).T)
+    def values(
+        self, places: Coordinates, factor: Float[np.ndarray, "m m"] | None = None
+    ) -> Float[np.ndarray, "m n"]:
+        """How values at places depend on the unknowns; or another lower triangular factor times
+        their covariances with the sites.
+        """
+        return self._whitened(covariance_of_values(self.kernel, places, self.sites).T, factor)
 
-    def _whitened(self, columns: np.ndarray) -> np.ndarray:
-        return np.asarray(dtrmm(1.0, self.inverse, columns, lower=1, overwrite_b=1))
+    def _whitened(self, columns: np.ndarray, factor: np.ndarray | None = None) -> np.ndarray:
+        factor = self.inverse if factor is None else factor
+        return np.asarray(dtrmm(1.0, factor, columns, lower=1, overwrite_b=1))
 
 
 @dataclass(frozen=True)
@@ -84,22 +89,37 @@ class Posterior:
         """The inverse of the precision times columns."""
         return np.asarray(cho_solve((self.root, True), columns, check_finite=False))
 
+    @cached_property
+    def taking(self) -> Float[np.ndarray, "m m"]:
+        """Lower triangular T: contacts take ‖T c‖² from the variance of a value whose covariances
+        with the sites are c. With P the precision and R Rᵀ the sites' covariance, TᵀT is
+        R⁻ᵀ (1 − P⁻¹) R⁻¹.
+        """
+        taken = -dpotri(self.root, lower=1)[0]
+        taken[np.diag_indices(len(taken))] += 1 + _LEFT
+        # A lower factor S with SᵀS, not S Sᵀ: the last unknown comes first.
+        turned = cholesky(taken.T[::-1, ::-1], lower=True, check_finite=False)
+        factor = np.asfortranarray(turned[::-1, ::-1].T)
+        return np.asarray(dtrmm(1.0, factor, self.basis.inverse, lower=1))
+
     def variance(self, places: Coordinates) -> Float[np.ndarray, "n"]:
         """Of the level at places."""
         found = np.empty(len(places.value))
-        # What contacts take is nearly all of the variance. What they leave is a sum of squares, of
-        # which single precision is enough: deviations differ by 2e-6 at most.
-        root = self.root.astype(np.float32)
+        many = len(found) > len(self.root)
         for start in range(0, len(found), _ROWS):
             rows = slice(start, start + _ROWS)
-            known = self.basis.values(places.part(rows))
-            taken = np.einsum("mn,mn->n", known, known)
-            left = known.astype(np.float32)
-            left = solve_triangular(root, left, lower=True, overwrite_b=True, check_finite=False)
-            found[rows] = np.einsum("mn,mn->n", left, left) - taken
+            known = self.basis.values(places.part(rows), self.taking if many else None)
+            found[rows] = -np.einsum("mn,mn->n", known, known)
+            if not many:
+                left = solve_triangular(self.root, known, lower=True, check_finite=False)
+                found[rows] += np.einsum("mn,mn->n", left, left)
         return np.maximum(found + self.basis.kernel.variance, 0.0)
 
 
+_LEFT = 1e-12
+"""Share of a variance that contacts cannot take, so that the factor of what they take exists where
+they say nothing of an unknown.
+"""
 _ROWS = 2048
 """Places at a time: some tens of MB."""
 

@@ -283,7 +283,8 @@ _TEXTS = {
     ),
     Status.AMBIGUOUS: (
         "Smoothing cannot tell here which phase, start or branch is the right one, and they lie "
-        "apart; use the raw contact, or a stronger signal."
+        "apart, or the contact moves too fast for it; use the raw contact, a stronger signal, or a "
+        "slower sweep."
     ),
     Status.RINGING: (
         "The rod swings freely after it was released; these loads are its inertia, not a contact."

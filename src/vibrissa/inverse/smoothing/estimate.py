@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
+from scipy.ndimage import maximum_filter1d
+from scipy.special import chdtri
 
 from vibrissa.contacts import Status
 from vibrissa.inverse.parameters import COUNT, Changes, changes_of_rows, prepared, velocities_of
@@ -34,7 +36,7 @@ from vibrissa.inverse.smoothing.model import (
     smoothed_states,
     steps_of,
 )
-from vibrissa.inverse.smoothing.phases import raw_arc_lengths
+from vibrissa.inverse.smoothing.phases import raw_arc_lengths, running_sum
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.trail import Trail
@@ -63,6 +65,10 @@ and in stated errors of the points, above which they disagree.
 """
 _SMALLEST = 2e-3
 """The same in rod lengths: the least that counts."""
+_AROUND, _BY_CHANCE = 5, 0.01
+"""Samples around a row that tell whether the motion was followed there, and probability that noise
+alone exceeds the limit for all but the largest of their residuals; for these, it is far less.
+"""
 _KEPT = (Status.BAD_DATA, Status.RINGING, Status.TOUCHES_TWICE)
 _FIELDS = (
     "point",
@@ -207,9 +213,24 @@ def _judged(found: Reconstruction, fit: Fit, known: Flags) -> tuple[Codes, Flags
     force = fit.series.whiten(np.nan_to_num(fit.linear.value.wrench))[:, :3]
     weak = touching & (total(np.sum(force**2, axis=1)) < _LITTLE)
     status = np.where(weak & (status == Status.OK), Status.AMBIGUOUS, status)
-    raw = touching & ((total(1) < _LEAST_ROWS) | ~known)
+    astray = _astray(fit, rows) & (status == Status.OK)
+    raw = touching & ((total(1) < _LEAST_ROWS) | ~known | astray)
     status = np.where(raw & ~kept, np.where(flagged, given, Status.AMBIGUOUS), status)
     return status, raw | (given == Status.TOUCHES_TWICE)
+
+
+def _astray(fit: Fit, rows: Flags) -> Flags:
+    """Rows whose neighbouring samples are further off the smoothed motion than their noise, as most
+    residuals show it, explains: there the contact moved faster than it usually does. A single
+    outlier among them says nothing.
+    """
+    if not rows.any():
+        return rows
+    squared = np.where(rows, np.minimum(squared_residuals(fit), OUTLIER), 0.0)
+    usual = max(np.median(squared[rows]) / chdtri(WRENCH, 0.5), 1.0)
+    total = running_sum(squared, _AROUND) - maximum_filter1d(squared, _AROUND)
+    limit = usual * chdtri(WRENCH * (_AROUND - 1), _BY_CHANCE)
+    return rows & maximum_filter1d(total > limit, _AROUND)
 
 
 def _elsewhere(found: Reconstruction, fit: Fit, touching: Flags) -> Flags:

@@ -97,9 +97,9 @@ def detected(series: Series, zero: Gaussian, false_alarm: float) -> Flags:
     are not lift-offs.
     """
     load = (series.whitened - zero.mean) * series.sound[:, None]
-    count = _running_sum(series.sound.astype(float), DETECTION_SAMPLES)
+    count = running_sum(series.sound.astype(float), DETECTION_SAMPLES)
     seen = np.maximum(count, 1)
-    mean = _running_sum(load, DETECTION_SAMPLES) / seen[:, None]
+    mean = running_sum(load, DETECTION_SAMPLES) / seen[:, None]
     loaded = (count > 0) & (load_chi_square(mean, seen, zero) > chdtri(WRENCH, false_alarm))
     around = np.pad(loaded, 1)
     for start, stop in runs(~series.sound):
@@ -120,7 +120,7 @@ def load_chi_square(
     return (mean * solved).sum(axis=-1)
 
 
-def _running_sum(values: np.ndarray, size: int) -> np.ndarray:
+def running_sum(values: np.ndarray, size: int) -> np.ndarray:
     """Sums of `size` rows around each."""
     return np.asarray(uniform_filter1d(values, size, axis=0, mode="constant") * size)
 
@@ -241,7 +241,7 @@ def _running_line(value: Samples, weight: Samples, size: int) -> Samples:
     """Weighted least-squares lines over so many samples, at their midpoints."""
     place, size = np.arange(len(value), dtype=float), min(size, len(value))
     products = np.stack([place**0, place, place**2, value, place * value], axis=1)
-    w, wx, wxx, wy, wxy = _running_sum(weight[:, None] * products, size).T
+    w, wx, wxx, wy, wxy = running_sum(weight[:, None] * products, size).T
     determinant = w * wxx - wx**2
     # If only one sample has any weight, any line fits.
     sound = determinant > 1e-9 * np.maximum(w * wxx, TINY)

@@ -105,6 +105,7 @@ class Posterior:
     def variance(self, places: Coordinates) -> Float[np.ndarray, "n"]:
         """Of the level at places."""
         found = np.empty(len(places.value))
+        # Forming the factor takes as long as about so many places do without it.
         many = len(found) > len(self.root)
         for start in range(0, len(found), _ROWS):
             rows = slice(start, start + _ROWS)

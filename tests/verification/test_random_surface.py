@@ -11,7 +11,7 @@ from scipy.stats import multivariate_normal
 import vibrissa.numerics  # noqa: F401, double precision
 from vibrissa.shape.kernel import Coordinates, Kernel, Matern, Sum, covariance, variances
 from vibrissa.shape.noise import Noise
-from vibrissa.shape.posterior import Basis, Data, information, left_out
+from vibrissa.shape.posterior import Basis, Data, _root, information, left_out
 from vibrissa.shape.prior import _left_out
 from vibrissa.shape.sites import Sites
 
@@ -153,6 +153,12 @@ def test_posterior_is_that_of_all_data_in_one_matrix(data):
     np.testing.assert_allclose(
         predicted + own, known[np.ix_(here, here)] - gain @ known[np.ix_(there, here)], atol=1e-5
     )
+
+
+def test_a_factor_exists_where_rounding_leaves_less_than_nothing():
+    whole = np.diag([1.0, 0.5, -1e-11])
+    root = _root(whole.copy(), np.full(3, 1e-12))
+    np.testing.assert_allclose(root @ root.T, whole, atol=2e-10)
 
 
 def test_space_known_to_be_empty_has_the_moments_of_the_truncated_level(data):

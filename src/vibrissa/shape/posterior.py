@@ -43,15 +43,9 @@ class Basis(NamedTuple):
     @classmethod
     def of(cls, kernel: Kernel, sites: Coordinates) -> "Basis":
         """The factor, with enough jitter to exist."""
-        whole, jitter = covariance(kernel, sites, sites), _JITTER
-        diagonal = np.diag(whole).copy()
-        while True:
-            whole[np.diag_indices(len(whole))] = diagonal * (1 + jitter)
-            try:
-                root = cholesky(whole, lower=True, check_finite=False)
-                return cls(kernel, sites, dtrtri(root, lower=1, overwrite_c=1)[0])
-            except np.linalg.LinAlgError:
-                jitter *= 10
+        whole = covariance(kernel, sites, sites)
+        root = _root(whole, _JITTER * np.diag(whole))
+        return cls(kernel, sites, dtrtri(root, lower=1, overwrite_c=1)[0])
 
     def jets(self, places: Coordinates) -> Float[np.ndarray, "m rows"]:
         """How value and gradient at places (4 rows each) depend on the unknowns."""
@@ -96,9 +90,9 @@ class Posterior:
         R⁻ᵀ (1 − P⁻¹) R⁻¹.
         """
         taken = -dpotri(self.root, lower=1)[0]
-        taken[np.diag_indices(len(taken))] += 1 + _LEFT
+        taken[np.diag_indices(len(taken))] += 1
         # A lower factor S with SᵀS, not S Sᵀ: the last unknown comes first.
-        turned = cholesky(taken.T[::-1, ::-1], lower=True, check_finite=False)
+        turned = _root(taken.T[::-1, ::-1], np.full(len(taken), _LEFT))
         factor = np.asfortranarray(turned[::-1, ::-1].T)
         return np.asarray(dtrmm(1.0, factor, self.basis.inverse, lower=1))
 
@@ -118,9 +112,24 @@ class Posterior:
 
 
 _LEFT = 1e-12
-"""Share of a variance that contacts cannot take, so that the factor of what they take exists where
-they say nothing of an unknown.
+"""Share of an unknown's variance that contacts take in any case, so that the factor of what they
+take exists where they say nothing: deviations are off by less than a millionth of the level's.
 """
+
+
+def _root(whole: Float[np.ndarray, "m m"], added: Float[np.ndarray, "m"]) -> np.ndarray:
+    """Lower Cholesky factor, with that added to the diagonal, or as much more as it takes to
+    exist.
+    """
+    diagonal = np.diag(whole).copy()
+    while True:
+        whole[np.diag_indices(len(whole))] = diagonal + added
+        try:
+            return np.asarray(cholesky(whole, lower=True, check_finite=False))
+        except np.linalg.LinAlgError:
+            added = 10 * added
+
+
 _ROWS = 2048
 """Places at a time: some tens of MB."""
 

@@ -49,19 +49,20 @@ class Basis(NamedTuple):
 
     def jets(self, places: Coordinates) -> Float[np.ndarray, "m rows"]:
         """How value and gradient at places (4 rows each) depend on the unknowns."""
-        return self._whitened(covariance(self.kernel, self.sites, places))
+        return _times(self.inverse, covariance(self.kernel, self.sites, places))
 
-    def values(
-        self, places: Coordinates, factor: Float[np.ndarray, "m m"] | None = None
-    ) -> Float[np.ndarray, "m n"]:
-        """How values at places depend on the unknowns; or another lower triangular factor times
-        their covariances with the sites.
-        """
-        return self._whitened(covariance_of_values(self.kernel, places, self.sites).T, factor)
+    def values(self, places: Coordinates) -> Float[np.ndarray, "m n"]:
+        """How values at places depend on the unknowns."""
+        return _times(self.inverse, self.covariances(places))
 
-    def _whitened(self, columns: np.ndarray, factor: np.ndarray | None = None) -> np.ndarray:
-        factor = self.inverse if factor is None else factor
-        return np.asarray(dtrmm(1.0, factor, columns, lower=1, overwrite_b=1))
+    def covariances(self, places: Coordinates) -> Float[np.ndarray, "m n"]:
+        """Of the sites' values and gradients with values at places."""
+        return covariance_of_values(self.kernel, places, self.sites).T
+
+
+def _times(factor: Float[np.ndarray, "m m"], columns: Float[np.ndarray, "m n"]) -> np.ndarray:
+    """A lower triangular factor times columns, which may be overwritten."""
+    return np.asarray(dtrmm(1.0, factor, columns, lower=1, overwrite_b=1))
 
 
 @dataclass(frozen=True)
@@ -101,9 +102,10 @@ class Posterior:
         found = np.empty(len(places.value))
         # Forming the factor takes as long as about so many places do without it.
         many = len(found) > len(self.root)
+        factor = self.taking if many else self.basis.inverse
         for start in range(0, len(found), _ROWS):
             rows = slice(start, start + _ROWS)
-            known = self.basis.values(places.part(rows), self.taking if many else None)
+            known = _times(factor, self.basis.covariances(places.part(rows)))
             found[rows] = -np.einsum("mn,mn->n", known, known)
             if not many:
                 left = solve_triangular(self.root, known, lower=True, check_finite=False)

@@ -317,17 +317,17 @@ SHARP = vb.surfaces.Offset(
 
 
 @pytest.mark.parametrize(
-    ("surface", "side", "offset"),
+    ("surface", "side", "offset", "jumps"),
     [
-        pytest.param(vb.surfaces.Implicit(peaks), 90, -0.001, id="two snaps in 0.2 s"),
-        pytest.param(SHARP, 0, 0.016, id="hardly loaded after a snap"),
+        pytest.param(vb.surfaces.Implicit(peaks), 90, -0.001, 2, id="two snaps in 0.2 s"),
+        pytest.param(SHARP, 0, 0.016, 1, id="hardly loaded after a snap"),
     ],
 )
 def test_contacts_that_snap_are_where_they_say(
-    surface: vb.surfaces.Surface, side: float, offset: float
+    surface: vb.surfaces.Surface, side: float, offset: float, jumps: int
 ) -> None:
     """A wire that snaps off one ball over the next, or over a sharp edge to a face that it hardly
-    presses on.
+    presses on, and off that.
     """
     turn = Rotation.from_euler("x", side, degrees=True)
     ends = turn.apply([[0.04, offset, -0.05], [-0.04, offset, -0.05]])
@@ -335,7 +335,53 @@ def test_contacts_that_snap_are_where_they_say(
     for seed in range(4):
         found = all_sound(surface, trail, seed)
         assert found.smoothing is not None
-        assert sum(len(touch.jumps) for touch in found.smoothing[0].touches) == 2, seed
+        assert sum(len(touch.jumps) for touch in found.smoothing[0].touches) == jumps, seed
         off = in_deviations(surface, found)
         assert np.mean(off < 1.96) > 0.9, seed
         assert np.mean(off < 5) > 0.98, seed
+
+
+def test_a_contact_ends_where_a_loaded_rod_snaps_off():
+    """With two unloaded samples left in it, a wire that touched the edge of a cone with its flank
+    was said to touch with its tip, 2 mm off, in one of three recordings.
+    """
+    cone = vb.surfaces.Offset(
+        vb.surfaces.Cone(center=(0, 0, -0.010), axis=(0.2, 0, 1), radius=0.016, height=0.026), 0.002
+    )
+    turn = Rotation.from_euler("y", -90, degrees=True) * Rotation.from_euler("z", 90, degrees=True)
+    ends = turn.apply([[0.04, -0.009, -0.05], [-0.04, -0.009, -0.05]])
+    trail = vb.Trail(ends, np.tile(turn.as_quat(), (2, 1)))
+    for seed in (3, 6, 8):
+        arm = vb.SimulatedArm(WIRE, cone, SENSOR, rate=50.0, rng=np.random.default_rng(seed))
+        found = arm(trail)
+        last = int(np.flatnonzero(np.linalg.norm(found.reactions.force, axis=1) > 0.02)[-1])
+        assert found.smoothing is not None
+        (touch,) = found.smoothing[0].touches
+        assert touch.last == last, seed
+        assert touch.end_deviation is not None
+        assert touch.end_deviation < 0.02, seed
+        assert np.all(found.kind[found.in_contact] == vb.ContactKind.TANGENTIAL), seed
+        assert in_deviations(cone, found).max() < 5, seed
+
+
+def waves(point: jnp.ndarray) -> jnp.ndarray:
+    """A ball of 21 mm with bumps of 1.2 mm."""
+    far = jnp.sqrt(jnp.sum(point**2) + 1e-12)
+    x, y, z = 4 * point / far
+    return far - 0.021 - 0.0012 * jnp.sin(x) * jnp.sin(y + 1) * jnp.cos(z + 0.5)
+
+
+def test_a_tip_may_touch_between_two_parts_of_a_contact_with_the_flank():
+    """Where the last part is hardly loaded, it was taken for contact of the tip, up to 0.3 mm off
+    and ten stated deviations.
+    """
+    surface = vb.surfaces.Implicit(waves)
+    turn = Rotation.from_euler("y", -90, degrees=True)
+    ends = turn.apply([[0.04, 0.015, -0.05], [-0.04, 0.015, -0.05]])
+    trail = vb.Trail(ends, np.tile(turn.as_quat(), (2, 1)))
+    off = []
+    for seed in (3, 7, 9, 11):
+        arm = vb.SimulatedArm(WIRE, surface, SENSOR, rate=50.0, rng=np.random.default_rng(seed))
+        off.append(in_deviations(surface, arm(trail)))
+    assert min(map(len, off)) > 60
+    assert np.mean(np.concatenate(off) < 5) > 0.93

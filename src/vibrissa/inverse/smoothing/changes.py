@@ -334,18 +334,21 @@ def drawn(fit: Fit, places: dict[int, Places]) -> list[Labels]:
 
 def _rivals_of(fit: Fit, rows: slice) -> tuple[list[Labels], Samples]:
     """Labels of a contact and their probabilities, the given ones first: besides them, tip contact
-    throughout and one tangential phase, long or short, early or late; all equally likely a priori.
+    throughout, one tangential phase, long or short, early or late, and one of the tip between two
+    tangential ones; all equally likely a priori.
     """
     first, count = rows.start, rows.stop - rows.start
     alone = [fit.labels], np.ones(1)
     if count < _LEAST_ROWS:
         return alone
     places = np.unique(first + np.round(_EDGES * count).astype(int)).tolist()
-    tip = fit.labels.in_phase(TIP, rows)
+    tip, flank = (fit.labels.in_phase(phase, rows) for phase in (TIP, TANGENTIAL))
     # Jumps stay.
-    tip.link[rows] *= tip.link[rows] == JUMP
-    pairs = (slice(*pair) for pair in combinations(places, 2))
-    candidates = [fit.labels, tip, *(tip.in_phase(TANGENTIAL, pair) for pair in pairs)]
+    for labels in (tip, flank):
+        labels.link[rows] *= labels.link[rows] == JUMP
+    candidates = [fit.labels, tip]
+    candidates += [tip.in_phase(TANGENTIAL, slice(*pair)) for pair in combinations(places, 2)]
+    candidates += [flank.in_phase(TIP, slice(*pair)) for pair in combinations(places[1:-1], 2)]
     around = first - _MARGIN // 2, rows.stop + _MARGIN // 2
     rough = log_likelihoods(fit, candidates, *around, max(TOGETHER, -(-count // _ROUGH_GROUPS)))
     likely = rough > rough.max() - _HOPELESS

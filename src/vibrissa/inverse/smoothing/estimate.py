@@ -149,7 +149,7 @@ def contacts_of(
     seen = changes_of_rows(rig, value.wrench, value.reach, value.direction, velocity)
     moved = _moved(fit, seen)
     rows = located(rod, reactions.trail, linear, errors, seen, moved, reactions, model_error)
-    status, raw = _judged(found, smoothest, finite((linear, errors, rows["sensitivity"])))
+    status, raw = _judged(found, smoothest, fit, finite((linear, errors, rows["sensitivity"])))
     variance = np.maximum(errors[:, ARC_LENGTH, ARC_LENGTH], 0.0)
     rows["arc_length_deviation"] = rod.length * np.sqrt(variance)
     rows = chosen(touching, rows, np.nan) | {
@@ -182,7 +182,7 @@ def _moved(fit: Fit, seen: Changes) -> Float[np.ndarray, "n coordinates setup"]:
     return smoothed_states(fit._replace(zero=TARED), columns).mean[:, PLACE]
 
 
-def _judged(found: Reconstruction, fit: Fit, known: Flags) -> tuple[Codes, Flags]:
+def _judged(found: Reconstruction, fit: Fit, averaged: Fit, known: Flags) -> tuple[Codes, Flags]:
     """Statuses of the smoothed rows, and which of them keep the contact of the single sample, as do
     contacts that are not `known`.
     """
@@ -213,7 +213,7 @@ def _judged(found: Reconstruction, fit: Fit, known: Flags) -> tuple[Codes, Flags
     force = fit.series.whiten(np.nan_to_num(fit.linear.value.wrench))[:, :3]
     weak = touching & (total(np.sum(force**2, axis=1)) < _LITTLE)
     status = np.where(weak & (status == Status.OK), Status.AMBIGUOUS, status)
-    astray = _astray(fit, rows) & (status == Status.OK)
+    astray = _astray(averaged, rows) & (status == Status.OK)
     raw = touching & ((total(1) < _LEAST_ROWS) | ~known | astray)
     status = np.where(raw & ~kept, np.where(flagged, given, Status.AMBIGUOUS), status)
     return status, raw | (given == Status.TOUCHES_TWICE)

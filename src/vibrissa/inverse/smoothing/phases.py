@@ -249,15 +249,15 @@ def _running_line(value: Samples, weight: Samples, size: int) -> Samples:
     return np.where(w > 0, (wy - slope * wx) / np.maximum(w, TINY) + slope * place, 1.0)
 
 
-def with_snaps(fit: Fit) -> Labels:
+def with_snaps(series: Series, labels: Labels) -> Labels:
     """Jumps where the wrench steps from one sample to the next, far beyond its noise and its course
     before and after.
     """
-    labels, sound, count = fit.labels, fit.series.sound, len(fit.labels.phase)
+    sound, count = series.sound, len(labels.phase)
     if count < 2 * _HALF or not sound.any():
         return labels
     known, touching = np.flatnonzero(sound), labels.touching & sound
-    parts = fit.series.whitened[known].T
+    parts = series.whitened[known].T
     load = np.column_stack([np.interp(np.arange(count), known, part) for part in parts])
     # Medians of a few samples on either side: a spike is not a step.
     around = np.median(sliding_window_view(load, _SIDE, axis=0), axis=-1)
@@ -271,6 +271,21 @@ def with_snaps(fit: Fit) -> Labels:
         row = int(place - 1 + np.argmax(single[place - 1 : place + 2]))
         labels = labels.copy()
         labels.link[row] = JUMP
+    return labels
+
+
+def without_unloaded(series: Series, labels: Labels, zero: Gaussian, false_alarm: float) -> Labels:
+    """Free where a contact is not loaded from a jump on: the rod has snapped off, and the samples
+    that `detected` averages are still loaded by those before.
+    """
+    labels, part = labels.copy(), labels.contact + np.cumsum(labels.link == JUMP)
+    load, limit = series.whitened - zero.mean, chdtri(WRENCH, false_alarm)
+    covariance = np.broadcast_to(zero.covariance, (len(load), WRENCH, WRENCH))
+    for first in np.flatnonzero(labels.touching & (labels.link == JUMP)):
+        rows = np.flatnonzero((part == part[first]) & series.sound)
+        mean, count = load[rows].mean(axis=0), np.float64(len(rows))
+        if load_chi_square(mean, count, Gaussian(zero.mean, covariance[first])) < limit:
+            labels.phase[rows] = FREE
     return labels
 
 

@@ -18,6 +18,7 @@ from vibrissa.inverse.result import Reconstruction
 from vibrissa.inverse.shared import with_shared
 from vibrissa.inverse.smoothing.branches import branch_of
 from vibrissa.inverse.smoothing.changes import (
+    Places,
     beyond_tip,
     drawn,
     reversed_fit,
@@ -33,6 +34,7 @@ from vibrissa.inverse.smoothing.fit import (
     first_guess,
     fitted,
     led_astray,
+    mistrusted,
 )
 from vibrissa.inverse.smoothing.kalman import INTENSITIES, WRENCH, Gaussian
 from vibrissa.inverse.smoothing.manifold import smoothed_model
@@ -226,28 +228,19 @@ def _smoothed_segment(
     first = first_guess(rod, series, zero, false_alarm, spread)
     fit = fitted(first, local=False)
     stages.end_one()
-    if led_astray(fit, first):
-        fit = first
-    else:
+    starts = [first]
+    if not led_astray(fit, first):
         # Again, now that the drift of the zero is known.
         guess = first_guess(rod, series, fit.states.zero, false_alarm, spread)
-        fit = fit._replace(labels=guess.labels, linear=guess.linear)
-    fit = _within_the_rod(_with_snaps(fit))
+        again = fit._replace(labels=guess.labels, linear=guess.linear)
+        starts = [again, first] if mistrusted(fit) else [again]
+    fits = [_within_the_rod(_with_snaps(start)) for start in starts]
     stages.end_one()
     # So that tangential contact is not taken for a jump.
-    phased, places = with_phases(fit)
-    if not np.array_equal(phased.labels.phase, fit.labels.phase):
-        fit = _within_the_rod(fitted(phased))
+    phased = [_in_phases(fit) for fit in fits]
     stages.end_one()
-    jumped = False
-    for _ in range(_ROUNDS):
-        labels = with_jumps(fit)
-        if np.array_equal(labels.link, fit.labels.link):
-            break
-        fit, jumped = fitted(fit._replace(labels=labels)), True
-    if jumped:
-        fit, places = with_phases(fit)
-        fit = _within_the_rod(fit)
+    broken = [_with_breaks(*of) for of in phased]
+    fit, places = max(broken, key=lambda of: np.sum(of[0].states.log_likelihood))
     stages.end_one()
     # Time, deviation and limit of starts and of ends; deviations of phase changes [s].
     edges = np.full((len(time), 2, 3), np.nan)
@@ -275,11 +268,33 @@ def _smoothed_segment(
     }, fit
 
 
+def _in_phases(fit: Fit) -> tuple[Fit, dict[int, Places]]:
+    """Fitted with its phases, and where else each change may be."""
+    phased, places = with_phases(fit)
+    if not np.array_equal(phased.labels.phase, fit.labels.phase):
+        fit = _within_the_rod(fitted(phased))
+    return fit, places
+
+
+def _with_breaks(fit: Fit, places: dict[int, Places]) -> tuple[Fit, dict[int, Places]]:
+    """Fitted with breaks of its motion, and the phases then."""
+    jumped = False
+    for _ in range(_ROUNDS):
+        labels = with_jumps(fit)
+        if np.array_equal(labels.link, fit.labels.link):
+            break
+        fit, jumped = fitted(fit._replace(labels=labels)), True
+    if jumped:
+        fit, places = with_phases(fit)
+        fit = _within_the_rod(fit)
+    return fit, places
+
+
 def _with_snaps(fit: Fit) -> Fit:
     """Fitted with jumps at steps of the wrench; a change of phase near one is moved onto it if the
     fit is then more likely.
     """
-    fit = fitted(fit._replace(labels=with_snaps(fit)))
+    fit = fitted(fit._replace(labels=with_snaps(fit.series, fit.labels)))
     for change, jump in changes_near_snaps(fit.labels):
         labels = fit.labels.moved(change, jump)
         labels.link[jump] = JUMP

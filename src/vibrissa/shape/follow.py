@@ -144,20 +144,24 @@ def follow(
         complete = whole and not np.any(open_)
         if complete or number == most - 1:
             break
+        # A stand that did not reach what it was expected to will not do so now.
+        stands = cut.stands(rod, curve)
+        new = [row for row in range(stands.shape[0]) if row not in driven]
+        if not new:
+            break
         planned = next_sweep(
             shape,
             rod,
-            cut.stands(rod, curve),
+            Trail(stands.position[new], stands.orientation[new]),
             clearance=clearance,
             friction=friction,
             places=curve[open_] if np.any(open_) else curve,
         )
-        # A stand that did not reach what it was expected to will not do so now.
-        new = [row for row in planned.order.tolist() if row not in driven]
-        if not new or planned.gain[new[0]] <= 0:
+        best = int(planned.order[0])
+        if planned.gain[best] <= 0:
             break
-        driven.add(new[0])
-        trails.append(planned.candidates[new[0]])
+        driven.add(new[best])
+        trails.append(planned.candidates[best])
     return Followed(curve, deviation, complete and between is None, complete, shape, trails)
 
 

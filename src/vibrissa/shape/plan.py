@@ -44,9 +44,11 @@ _PLACES = 400
 """Places of the surface whose uncertainty counts."""
 _POSITIONS, _ALONG = 16, 16
 """Clamp positions of a candidate, and points along a straight rod."""
-_MODELLED = 12
-"""Candidates that are scanned at a time. Six took a third less time and found as much on a block,
-but of twelve over an ellipsoid left two out that were better than the last of them.
+_MODELLED, _AT_A_TIME = 12, 4
+"""Most candidates that are scanned, and how many at a time: all if there are no more, or as long as
+straight rods promise more of others than the best of these gives. In 76 choices among some fifty
+sweeps over a block and a blob it was 5 on average, and what was chosen took away as much as with
+twelve; over the block, 3 % less with the first six alone.
 """
 _CONTACTS = 8
 """Contacts of a sweep that are expected to say something: neighbours say the same."""
@@ -186,11 +188,14 @@ def next_sweep(
     deepest, *enters = straight.reshape(len(ways), -1)
     either = np.stack([deepest, np.mean(enters, axis=0)])
     rank = np.min(np.argsort(np.argsort(-either, axis=1, kind="stable"), axis=1), axis=0)
-    gain = np.where(status == Status.OK, either[1], 0.0)
+    promised, gain = np.max(either, axis=0), np.where(status == Status.OK, either[1], 0.0)
     contacts, scanned = ways[0], np.zeros(len(gain), dtype=bool)
-    while not np.any(scanned & (status == Status.OK)):
+    while scanned.sum() < _MODELLED or not np.any(scanned & (status == Status.OK)):
         open_ = np.flatnonzero((status == Status.OK) & ~scanned)
-        chosen = open_[np.argsort(rank[open_], kind="stable")[:_MODELLED]]
+        best = np.max(gain[scanned & (status == Status.OK)], initial=-np.inf)
+        if len(gain) > _MODELLED:
+            open_ = open_[promised[open_] > best]
+        chosen = open_[np.argsort(rank[open_], kind="stable")[:_AT_A_TIME]]
         if not len(chosen):
             break
         found = planned.scanned(rod, few, chosen, friction)

@@ -75,6 +75,17 @@ round. With 0, 0.012, 0.018 and 0.025 a cylinder with sharp ends is off by 0.18,
 mm, a block with edges of 1 mm through 600 contacts by 0.09, 0.05, 0.04 and 0.02 mm. Concave parts
 get tighter: a blob is off by 0.008, 0.009, 0.0095 and 0.010 mm.
 """
+_ROUND, _EDGES = 0.055, 0.95
+"""Radius of edges, relative to the extent, up to which contacts are raised, and the share of places
+that are less convex than edges: rounder objects are better known at their own height. A block with
+edges of 3 mm is off by 0.019, 0.016 and 0.015 mm with 0.025, this, and no height, its normals by
+3.4, 3.1 and 2.7 degrees (95th percentile); a cylinder with such rims by 0.019, 0.019 and 0.024 mm.
+"""
+_FAR_OFF = 10.0
+"""The least such radius in errors of contacts along the surface, over which normals turn in
+proportion: with less height than 1.6 mm, where contacts are off by 0.8 mm along an edge of 6 mm, 95
+% intervals held 76 to 85 %.
+"""
 _ROOM = 0.15
 """Largest height, relative to the room in front of the contacts. With 0.5, 0.25 and 0.15, walls
 that face one another across 8 mm are off by 0.07, 0.04 and 0.01 mm; without a limit, those across 3
@@ -138,19 +149,19 @@ def fit_shape(
     """
     parts, lines = several(contacts), swept_points(swept)
     given = gathered(parts)
-    given = given.raised(min(_ABOVE * given.extent, _ROOM * room(given)))
     length = None if length_scale is None else positive(length_scale, "length_scale")
-    agreeing = np.flatnonzero(agree_with_neighbours(given))
-    if len(agreeing) < LEAST:
-        agreeing = np.arange(len(given.point))
-    some = single(given.part(agreeing[_every(len(agreeing), _FIRST)]))
-    ball, expected = Ball.of(some), _expected(given, length)
-    first, part = _first(_start(some, given.extent, expected.median), ball, expected)
+    highest = min(_ABOVE * given.extent, _ROOM * room(given))
+    given = given.raised(highest)
+    first, part, expected = _seen(given, length)
+    too_high = highest - _height(part, highest)
+    if too_high > 0:
+        given = given.raised(-too_high)
+        first, part, expected = _seen(given, length)
     # Before neighbours are pooled, as one outlier spoils its pool.
     judged = doubtful(given, first, first.curvature)
     sound = ~outliers_of(given, judged, first, first.curvature)
     sites = pooled(given.part(sound) if sound.sum() > _MOSTLY * len(sound) else given)
-    level, data, fit = _second(_carried(part, first, sites), first, ball, expected)
+    level, data, fit = _second(_carried(part, first, sites), first, expected)
     if not given.known:
         fit = _rescaled(level, data, fit)
     noise = fit.noise()
@@ -273,6 +284,26 @@ def _start(sites: Sites, extent: float, scales: Scales) -> Fitting:
     return Fitting(sites, sites.point, left, extent, flat, all_, reach, scales)
 
 
+def _seen(given: Gathered, length: float | None) -> tuple[Level, Fitting, Expected]:
+    """A first surface, from a part of the contacts, and priors of the scales."""
+    agreeing = np.flatnonzero(agree_with_neighbours(given))
+    if len(agreeing) < LEAST:
+        agreeing = np.arange(len(given.point))
+    some = single(given.part(agreeing[_every(len(agreeing), _FIRST)]))
+    expected = _expected(given, length)
+    start = _start(some, given.extent, expected.median)
+    return *_first(start, Ball.of(some), expected), expected
+
+
+def _height(part: Fitting, highest: float) -> float:
+    """The height at which edges are round enough, by their radius at the highest."""
+    bent = float(np.quantile(np.linalg.eigvalsh(part.curvature)[:, -1], _EDGES))
+    radius = 1 / max(bent, 1 / part.extent) - highest
+    off = np.sqrt(np.linalg.eigvalsh(part.sites.covariance[:, :3, :3])[:, -1])
+    enough = max(_ROUND * part.extent, _FAR_OFF * float(np.median(off)))
+    return float(np.clip(enough - radius, 0.0, highest))
+
+
 def _first(part: Fitting, ball: Ball, expected: Expected) -> tuple[Level, Fitting]:
     """A surface through a part of the contacts."""
     expected = expected._replace(spread=expected.spread._replace(fold=0.0))
@@ -301,10 +332,9 @@ def _carried(part: Fitting, first: Level, sites: Sites) -> Fitting:
     return fit.judged(first, open_, alike=False).placed(first, open_)
 
 
-def _second(
-    fit: Fitting, first: Level, ball: Ball, expected: Expected
-) -> tuple[Level, Data, Fitting]:
+def _second(fit: Fitting, first: Level, expected: Expected) -> tuple[Level, Data, Fitting]:
     """The surface whose coordinates know directions."""
+    ball = first.ball
     folds = Folds(ball, first.total, 1.0)
     fit = replace(fit, scales=_likely(fit, ball, folds, expected))
     folds = folds._replace(fold=fit.scales.fold)

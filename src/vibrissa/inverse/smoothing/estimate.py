@@ -184,7 +184,7 @@ def _moved(fit: Fit, seen: Changes) -> Float[np.ndarray, "n coordinates setup"]:
 
 def _judged(found: Reconstruction, fit: Fit, averaged: Fit, known: Flags) -> tuple[Codes, Flags]:
     """Statuses of the smoothed rows, and which of them keep the contact of the single sample, as do
-    contacts that are not `known`.
+    contacts that are not `known`, and those that samples contradict once averaged.
     """
     labels, given = fit.labels, found.status
     touching, kept = labels.touching & fit.series.sound, np.isin(given, _KEPT)

@@ -282,8 +282,9 @@ def without_unloaded(series: Series, labels: Labels, zero: Gaussian, false_alarm
     load, limit = series.whitened - zero.mean, chdtri(WRENCH, false_alarm)
     covariance = np.broadcast_to(zero.covariance, (len(load), WRENCH, WRENCH))
     for first in np.flatnonzero(labels.touching & (labels.link == JUMP)):
-        rows = np.flatnonzero((part == part[first]) & series.sound)
-        mean, count = load[rows].mean(axis=0), np.float64(len(rows))
+        rows = part == part[first]
+        count = np.float64(max(np.sum(rows & series.sound), 1))
+        mean = load[rows & series.sound].sum(axis=0) / count
         if load_chi_square(mean, count, Gaussian(zero.mean, covariance[first])) < limit:
             labels.phase[rows] = FREE
     return labels

@@ -70,8 +70,8 @@ it no sample at rest passed for a contact in 108 sweeps of an egg (1019 without)
 """
 _OUTLIERS = 0.03
 """Share of outliers in contacts, some hundred times what noise makes, from which on a fit from the
-first guess is tried as well: the more likely of the two had none of 71 and 41 samples that lay up
-to 5 mm beside two rounded blocks, said to be OK.
+first guess is tried as well. In a sweep over a rounded block it is the more likely one; the other
+had 71 samples up to 5 mm beside the block, said to be OK.
 """
 _AVERAGE = 0.04
 """[s] over which the first guess is averaged."""
@@ -95,8 +95,8 @@ def first_guess(
     false_alarm: float,
     incidence_spread: float | None,
 ) -> Fit:
-    """Phases, and coordinates from moving averages of the wrench over 40 ms; the states are not
-    known yet.
+    """Phases, jumps at steps of the wrench, and coordinates from its moving averages over 40 ms;
+    states are not known yet.
     """
     phase, arc_length = first_labels(rod, series, zero, false_alarm)
     steady = median_filter(series.wrench, (_MEDIAN, 1), mode="nearest")

@@ -51,7 +51,7 @@ from vibrissa.inverse.smoothing.model import (
     incidence_spread_of,
     series_of,
 )
-from vibrissa.inverse.smoothing.phases import changes_near_snaps, with_jumps, with_snaps
+from vibrissa.inverse.smoothing.phases import changes_near_snaps, with_jumps
 from vibrissa.inverse.smoothing.result import Smoothing, Touch
 from vibrissa.numerics.progress import Progress, Stages, Tally
 from vibrissa.numerics.runs import runs
@@ -234,7 +234,7 @@ def _smoothed_segment(
         guess = first_guess(rod, series, fit.states.zero, false_alarm, spread)
         again = fit._replace(labels=guess.labels, linear=guess.linear)
         starts = [again, first] if mistrusted(fit) else [again]
-    fits = [_within_the_rod(_with_snaps(start)) for start in starts]
+    fits = [_within_the_rod(_at_snaps(start)) for start in starts]
     stages.end_one()
     # So that tangential contact is not taken for a jump.
     phased = [_in_phases(fit) for fit in fits]
@@ -290,11 +290,9 @@ def _with_breaks(fit: Fit, places: dict[int, Places]) -> tuple[Fit, dict[int, Pl
     return fit, places
 
 
-def _with_snaps(fit: Fit) -> Fit:
-    """Fitted with jumps at steps of the wrench; a change of phase near one is moved onto it if the
-    fit is then more likely.
-    """
-    fit = fitted(fit._replace(labels=with_snaps(fit.series, fit.labels)))
+def _at_snaps(fit: Fit) -> Fit:
+    """Fitted; a change of phase near a jump is moved onto it if the fit is then more likely."""
+    fit = fitted(fit)
     for change, jump in changes_near_snaps(fit.labels):
         labels = fit.labels.moved(change, jump)
         labels.link[jump] = JUMP

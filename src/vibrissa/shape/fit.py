@@ -63,10 +63,6 @@ block with edges of 5 mm came out 11 % less far off, with intervals that held 97
 is beyond 3 mm; other blocks, cones, tori and blobs 1 to 6 % less far, a sharp cylinder 4 % farther,
 and with left-out sweeps alone 22 %.
 """
-_ROUNDS = 3
-"""Of the first surface: one without curvatures, one with them and new scales, one more with new
-weights.
-"""
 _MOSTLY = 0.5
 """Share of contacts that a first surface must explain to be trusted with telling outliers."""
 _ABOVE = 0.025
@@ -75,11 +71,11 @@ round. With 0, 0.012, 0.018 and 0.025 a cylinder with sharp ends is off by 0.18,
 mm, a block with edges of 1 mm through 600 contacts by 0.09, 0.05, 0.04 and 0.02 mm. Concave parts
 get tighter: a blob is off by 0.008, 0.009, 0.0095 and 0.010 mm.
 """
-_ROUND, _EDGES = 0.055, 0.95
+_ROUND, _EDGES = 0.045, 0.95
 """Radius of edges, relative to the extent, up to which contacts are raised, and the share of places
 that are less convex than edges: rounder objects are better known at their own height. A block with
 edges of 3 mm is off by 0.019, 0.016 and 0.015 mm with 0.025, this, and no height, its normals by
-3.4, 3.1 and 2.7 degrees (95th percentile); a cylinder with such rims by 0.019, 0.019 and 0.024 mm.
+3.4, 3.0 and 2.7 degrees (95th percentile); a cylinder with such rims by 0.018, 0.021 and 0.024 mm.
 """
 _FAR_OFF = 10.0
 """The least such radius in errors of contacts along the surface, over which normals turn in
@@ -151,12 +147,8 @@ def fit_shape(
     given = gathered(parts)
     length = None if length_scale is None else positive(length_scale, "length_scale")
     highest = min(_ABOVE * given.extent, _ROOM * room(given))
-    given = given.raised(highest)
-    first, part, expected = _seen(given, length)
-    too_high = highest - _height(part, highest)
-    if too_high > 0:
-        given = given.raised(-too_high)
-        first, part, expected = _seen(given, length)
+    expected = _expected(given, length)
+    given, first, part = _first(given.raised(highest), expected)
     # Before neighbours are pooled, as one outlier spoils its pool.
     judged = doubtful(given, first, first.curvature)
     sound = ~outliers_of(given, judged, first, first.curvature)
@@ -284,15 +276,23 @@ def _start(sites: Sites, extent: float, scales: Scales) -> Fitting:
     return Fitting(sites, sites.point, left, extent, flat, all_, reach, scales)
 
 
-def _seen(given: Gathered, length: float | None) -> tuple[Level, Fitting, Expected]:
-    """A first surface, from a part of the contacts, and priors of the scales."""
+def _first(given: Gathered, expected: Expected) -> tuple[Gathered, Level, Fitting]:
+    """A surface through a part of the contacts, and the contacts at the height that its edges call
+    for: one round without curvatures, which tells that, one with them and new scales, one more with
+    new weights.
+    """
     agreeing = np.flatnonzero(agree_with_neighbours(given))
     if len(agreeing) < LEAST:
         agreeing = np.arange(len(given.point))
-    some = single(given.part(agreeing[_every(len(agreeing), _FIRST)]))
-    expected = _expected(given, length)
-    start = _start(some, given.extent, expected.median)
-    return *_first(start, Ball.of(some), expected), expected
+    rows = agreeing[_every(len(agreeing), _FIRST)]
+    part = _start(single(given.part(rows)), given.extent, expected.median)
+    expected = expected._replace(spread=expected.spread._replace(fold=0.0))
+    _, part = _round(part, expected)
+    given = given.raised(_height(part, given.above) - given.above)
+    sites = single(given.part(rows))
+    part = replace(part, sites=sites, place=sites.point, left=sites.covariance[:, :3, :3])
+    _, part = _round(part, expected)
+    return given, *_round(part, None)
 
 
 def _height(part: Fitting, highest: float) -> float:
@@ -304,16 +304,16 @@ def _height(part: Fitting, highest: float) -> float:
     return float(np.clip(enough - radius, 0.0, highest))
 
 
-def _first(part: Fitting, ball: Ball, expected: Expected) -> tuple[Level, Fitting]:
-    """A surface through a part of the contacts."""
-    expected = expected._replace(spread=expected.spread._replace(fold=0.0))
-    for number in range(_ROUNDS):
-        if number < _ROUNDS - 1:
-            part = replace(part, scales=_likely(part, ball, None, expected))
-        level, data = _surface(part, ball, None, len(part.weight))
-        part = part.judged(level, data.open, alike=True)
-        part = replace(part, curvature=level.curvature(part.place))
-    return level, part
+def _round(part: Fitting, expected: Expected | None) -> tuple[Level, Fitting]:
+    """A surface through sites, with new scales if their priors are given, and what it says of
+    them.
+    """
+    ball = Ball.of(part.sites)
+    if expected is not None:
+        part = replace(part, scales=_likely(part, ball, None, expected))
+    level, data = _surface(part, ball, None, len(part.weight))
+    part = part.judged(level, data.open, alike=True)
+    return level, replace(part, curvature=level.curvature(part.place))
 
 
 def _carried(part: Fitting, first: Level, sites: Sites) -> Fitting:

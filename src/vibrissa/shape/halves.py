@@ -15,7 +15,7 @@ _SHARE = 0.95
 _LEAST, _BEFORE, _BELIEVED = 24, 10, 0.8
 """Sweeps below which nothing is concluded, and sweeps that count as much as the belief that this is
 the factor. Of 44 sets of contacts of 22 objects after 50 to 85 sweeps, 95 %
-intervals near contacts hold 93 to 97 % for 25, less for 5 (89 % of a cylinder with rims of 3 mm)
+intervals near contacts hold 93 to 97 % for 25, less for 5 (86 % of a cylinder with rims of 3 mm)
 and more for 14. Of 16 sweeps, of one block in three, they held 87 %.
 """
 _TINY = 1e-300

@@ -140,6 +140,15 @@ def test_posterior_is_that_of_all_data_in_one_matrix(data):
     total = Sum(KERNEL, basis.sites, found.weights)
     value, slope = total.at(coordinates(points))
     np.testing.assert_allclose(np.column_stack([value, slope]), mean, atol=1e-5)
+    # Drawn towards zero by as much as the mean would grow with the variance of the level.
+    step = 1e-4
+    more, less = (
+        factor * across @ np.linalg.solve(factor * (known - errors) + errors, target.ravel())
+        for factor in np.exp([step, -step])
+    )
+    drawn = ((more - less) / (2 * step)).reshape(-1, 4)[:, 0]
+    value, _ = Sum(KERNEL, basis.sites, found.drawn).at(coordinates(points))
+    np.testing.assert_allclose(value, drawn, atol=1e-5)
     for few in (9, 60):  # fewer places than unknowns, and more
         variance = found.variance(coordinates(points[:few]))
         np.testing.assert_allclose(variance, KERNEL.variance - left[:few], atol=1e-6)

@@ -150,7 +150,8 @@ def compare(
     not_negative(tolerance, "tolerance")
     share(rate, "rate")
     surface = model.placed if isinstance(model, Location) else model
-    cautious = replace(shape, level=shape.level._replace(agreement=1.0))
+    agreement = max(shape.level.agreement, 1.0)
+    cautious = replace(shape, level=shape.level._replace(agreement=agreement))
     mesh = cautious.mesh(resolution)
     if not len(mesh.vertices):
         nothing = np.zeros(0)

@@ -7,8 +7,8 @@
 3. The surface itself: its covariance tells the two sides of an edge apart by the first surface's
    directions (`prior.Folds`), its scales come from the contacts, outliers lose their weight, and
    errors are correlated along a sweep as much as residuals are (`noise`).
-4. Two surfaces, each through half of the sweeps, tell how far deviations can be believed
-   (`halves`).
+4. Two surfaces, each through half of the sweeps, and how far the mean is drawn towards what is
+   assumed, tell how far deviations can be believed (`halves`).
 5. Rods that passed through empty space push it back to where they were not (`swept`).
 """
 
@@ -165,7 +165,7 @@ def fit_shape(
     departures = Departures.of(sites.touched, jets, fit.curvature, given.extent)
     level = level._replace(
         doubt=_excess(others, 0.95),
-        agreement=agreement(basis, data, halves, len(np.unique(given.sweep))),
+        agreement=agreement(level.found, data, halves, len(np.unique(given.sweep))),
         departures=departures,
     )
     if lines is not None:

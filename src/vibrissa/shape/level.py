@@ -39,8 +39,8 @@ class Feet(NamedTuple):
 
 class Level(NamedTuple):
     """Mean level of the ball, coordinates, and what the contacts say besides; the factor by which
-    deviations are too small, as sweeps that are left out show, and that by which they are too large
-    at contacts, as halves of the sweeps do; and how far the surface departs from where its
+    deviations are too small, as sweeps that are left out show, and that by which they are wrong
+    near contacts, as halves of the sweeps do; and how far the surface departs from where its
     curvatures lead.
 
     Contacts tell the level at a height above the object. There it is a distance; closer, where none
@@ -63,6 +63,13 @@ class Level(NamedTuple):
         """With the weights of its sites."""
         total = Sum(found.basis.kernel, found.basis.sites, found.weights)
         return cls(ball, folds, found, total, above)
+
+    def drawn(self, points: Points) -> Values:
+        """How far the mean value at points is drawn towards the ball's: its derivative by the
+        logarithm of the variance that is assumed.
+        """
+        basis = self.found.basis
+        return Sum(basis.kernel, basis.sites, self.found.drawn).at(self.places(points))[0]
 
     def knowing(self, found: Posterior) -> "Level":
         """The same where something else is known of its unknowns."""

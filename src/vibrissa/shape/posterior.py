@@ -80,7 +80,14 @@ class Posterior:
         """Of the sites in the mean."""
         return (self.mean @ self.basis.inverse).reshape(-1, JET)
 
-    def solved(self, columns: Float[np.ndarray, "m n"]) -> Float[np.ndarray, "m n"]:
+    @cached_property
+    def drawn(self) -> Float[np.ndarray, "sites 4"]:
+        """Of the sites in the mean's derivative by the logarithm of the unknowns' variance before
+        any data: how far they draw it towards zero.
+        """
+        return (self.solved(self.mean) @ self.basis.inverse).reshape(-1, JET)
+
+    def solved(self, columns: Float[np.ndarray, "m *n"]) -> Float[np.ndarray, "m *n"]:
         """The inverse of the precision times columns."""
         return np.asarray(cho_solve((self.root, True), columns, check_finite=False))
 

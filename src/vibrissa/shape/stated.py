@@ -29,13 +29,6 @@ extent, its relative power 3/2: beyond them the surface may turn anywhere, so th
 random walk. Of surfaces from 1 to 10 sweeps, 95 % intervals held 0.88 to 0.90 of the points 1 to
 10 mm from a contact without (rounded block, torus, ellipsoid, blob, superquadric).
 """
-_ENDING = 0.16
-"""Least of that, relative to the distance, where nothing is beyond: contacts end where rods snap
-off, which is where an object turns away. 1 to 2 mm beyond those of one side, surfaces of a cone
-with a rim of 2 mm were off by 0.4 mm. Of it, a cylinder and a block with edges of 3 mm, 95 %
-intervals within 3 mm of one side's contacts held 62, 83 and 93 % without, and hold 72, 85 and 96 %;
-with 0.25 they held 84, 89 and 97 %, but less of a single sweep counted as seen.
-"""
 _DEPARTED = 1.9
 """What departures beyond contacts count, so that edges that are touched are expected elsewhere too.
 Of 24 fits of a rounded block to 3 to 42 sweeps, 95 % intervals held 0.87, 0.79 and 0.86 of the
@@ -106,9 +99,8 @@ class Stated(NamedTuple):
 
     def deviations(self, variance: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
         """Deviations of distances for variances of the level above these places."""
-        turned = np.maximum(_UNSEEN * np.sqrt(self.away / self.extent), _ENDING * self.aside**2)
-        departed = _DEPARTED * self.departures.at(self.away)
-        open_ = self.aside * np.hypot(turned * self.away, departed)
+        unseen = _UNSEEN * self.extent * (self.away / self.extent) ** 1.5
+        open_ = self.aside * np.hypot(unseen, _DEPARTED * self.departures.at(self.away))
         return np.hypot(np.hypot(self.by_level(variance), self.drawn), open_)
 
     def by_level(self, variance: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:

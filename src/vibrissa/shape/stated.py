@@ -40,8 +40,8 @@ _BETWEEN, _BEYOND = 0.1, 0.25
 is between contacts, and from which it is beyond them.
 """
 _NEAR = 0.05
-"""Distance from contacts within which deviations are as much too large as at contacts, relative to
-the extent: 3 mm on an object of 40 mm.
+"""Distance from contacts within which deviations are as wrong as at contacts, relative to the
+extent: 3 mm on an object of 40 mm.
 """
 _ACROSS = 0.5
 """Cosine of the angle to the opposite direction up to which a contact is on the other side."""
@@ -104,7 +104,9 @@ class Stated(NamedTuple):
         return np.hypot(np.hypot(self.by_level(variance), self.drawn), open_)
 
     def by_level(self, variance: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-        """The same without what edges that were not touched may add."""
+        """The same without what more contacts do not take away: edges that were not touched, and
+        how far the mean is drawn.
+        """
         return np.sqrt(variance) * self.factor
 
 

@@ -5,9 +5,15 @@ from functools import cache
 
 import numpy as np
 import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
 from touched import NORMAL, POINT, on_surface, rings
 
 import vibrissa as vb
+from vibrissa.shape.area import vertex_areas
+from vibrissa.shape.mesh import _touched
+from vibrissa.shape.outliers import inside_out
+from vibrissa.shape.sites import gathered
 
 ELLIPSOID = vb.surfaces.Ellipsoid(center=(0, 0, 0), semi_axes=(0.026, 0.021, 0.017))
 BLOCK = vb.surfaces.Offset(
@@ -284,6 +290,81 @@ def test_contacts_that_are_not_finite():
     nothing = np.full((5, 3), np.nan)
     with pytest.raises(ValueError, match="contacts: 0 of 5 rows hold a contact"):
         vb.fit_shape(vb.Contacts(nothing, nothing))
+
+
+@pytest.mark.parametrize("far", [0.1, 10.0, 1e200])
+def test_a_contact_far_from_all_others_does_no_harm(far):
+    contacts = rings(ELLIPSOID, np.random.default_rng(3), sweeps=6)
+    point = contacts.point.copy()
+    point[100, 0] += far
+    shape = vb.fit_shape(replace(contacts, point=point))
+    assert shape.outlier[100]
+    assert "too far from all others" in shape.warnings[0]
+    plain = vb.fit_shape(contacts[np.arange(len(point)) != 100])
+    places = samples(ELLIPSOID, 50)
+    np.testing.assert_array_equal(shape.distance(places), plain.distance(places))
+
+
+@pytest.mark.parametrize("name", ["covariance", "normal_covariance"])
+def test_what_is_no_covariance_is_refused(name):
+    contacts = rings(ELLIPSOID, np.random.default_rng(3), sweeps=4)
+    wrong = getattr(contacts, name).copy()
+    wrong[7] = wrong[7] @ np.diag([1.0, -1.0, 1.0])
+    with pytest.raises(ValueError, match=rf"{name}\[7\] has the eigenvalue -"):
+        vb.fit_shape(replace(contacts, **{name: wrong}))
+
+
+@pytest.mark.parametrize("sweeps", [4, 12])
+def test_a_sweep_inside_out_is_named(sweeps):
+    contacts = rings(ELLIPSOID, np.random.default_rng(3), sweeps=sweeps)
+    normal = np.where(contacts.sweep[:, None] == 2, -1, 1) * contacts.normal
+    warnings = vb.fit_shape(replace(contacts, normal=normal)).warnings
+    assert "sweep 2: normals of 40 of its 40 contacts point against" in warnings[0]
+    assert not vb.fit_shape(contacts).warnings
+
+
+PLATE = vb.surfaces.Box(center=(0, 0, 0), half_extents=(0.03, 0.02, 0.0005))
+
+
+def both_faces(rng: np.random.Generator) -> vb.Contacts:
+    """Seven sweeps over either face of a plate of 1 mm."""
+    x, y = np.meshgrid(np.linspace(-0.028, 0.028, 30), np.linspace(-0.018, 0.018, 7))
+    up = np.repeat([1.0, -1.0], x.size)
+    point = np.column_stack([*np.tile([x.ravel(), y.ravel()], 2), 0.0005 * up])
+    return vb.Contacts(
+        point + POINT * rng.normal(size=point.shape),
+        up[:, None] * [0.0, 0.0, 1.0],
+        np.tile(POINT**2 * np.eye(3), (len(point), 1, 1)),
+        np.tile(NORMAL**2 * np.eye(3), (len(point), 1, 1)),
+        sweep=np.arange(len(point)) // 30,
+    )
+
+
+def test_faces_of_a_thin_plate_are_not_inside_out():
+    assert not inside_out(gathered(both_faces(np.random.default_rng(0))))
+
+
+def test_a_thin_plate_does_not_slip_through_the_cells_of_its_mesh():
+    mesh = vb.fit_shape(both_faces(np.random.default_rng(0))).mesh()
+    inner = np.all(np.abs(mesh.vertices[:, :2]) < [0.028, 0.018], axis=1)
+    area = vertex_areas(mesh.vertices, mesh.faces)[inner].sum()
+    assert area == pytest.approx(2 * 0.056 * 0.036, rel=0.02)
+    np.testing.assert_allclose(PLATE.distances(mesh.vertices[inner]), 0, atol=5 * POINT)
+
+
+def test_a_void_in_a_solid_is_not_seen():
+    outer, inner = trimesh.creation.icosphere(3, 0.02), trimesh.creation.icosphere(3, 0.01)
+    vertices = np.concatenate([outer.vertices, inner.vertices])
+    faces = np.concatenate([outer.faces, inner.faces + len(outer.vertices)])
+    seen = _touched(vertices, faces, 1.001 * outer.vertices[::50])
+    assert seen.tolist() == [True] * len(outer.vertices) + [False] * len(inner.vertices)
+
+
+def test_mesh_of_a_sharp_block_is_closed():
+    turn = Rotation.random(rng=np.random.default_rng(0))
+    block = vb.surfaces.Box(center=(0, 0, 0), half_extents=(0.020, 0.014, 0.006))
+    contacts = rings(block.placed(turn, np.zeros(3)), np.random.default_rng(0), sweeps=30)
+    assert vb.fit_shape(contacts).mesh(extrapolate=True).to_trimesh().is_watertight
 
 
 def test_contacts_in_one_place():

@@ -89,6 +89,30 @@ def test_a_mug_has_one_pose():
     np.testing.assert_allclose(found.placed.distances(contacts.point), 0, atol=5 * POINT)
 
 
+@pytest.mark.parametrize(("wrong", "off"), [(2, 5e-3), (9, 5e-3), (9, 0.2)])
+def test_one_wrong_contact_is_left_out(wrong, off):
+    rng = np.random.default_rng(7)
+    contacts, turn, shift = touched(ELLIPSOID, around(rng, 14), rng)
+    contacts.point[wrong] += off * Rotation.random(rng=rng).apply([1, 0, 0])
+    found = vb.locate(ELLIPSOID, contacts)
+    assert found.outlier.tolist() == [row == wrong for row in range(14)]
+    assert found.freedom == 3 * 13 - 6
+    assert not found.warnings
+    pose, away = nearest(found, turn, shift)
+    assert away @ np.linalg.solve(pose.covariance, away) < chi2.ppf(0.9999, 6)
+
+
+def test_many_wrong_contacts_are_told():
+    rng = np.random.default_rng(8)
+    contacts, turn, shift = touched(ELLIPSOID, around(rng, 14), rng)
+    contacts.point[:3] += rng.normal(0, 5e-3, (3, 3))
+    found = vb.locate(ELLIPSOID, contacts)
+    assert found.outlier.sum() == 3
+    assert "3 of 14 contacts contradict" in found.warnings[0]
+    pose, away = nearest(found, turn, shift)
+    assert away @ np.linalg.solve(pose.covariance, away) < chi2.ppf(0.9999, 6)
+
+
 def test_a_ball_may_turn_freely():
     ball = vb.surfaces.Sphere(center=(0.01, 0, 0), radius=0.02)
     rng = np.random.default_rng(2)

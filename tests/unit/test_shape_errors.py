@@ -165,7 +165,7 @@ def test_only_what_differs_is_found():
 
 def placed_at(middle: np.ndarray, covariance: np.ndarray, free: np.ndarray) -> vb.Location:
     pose = vb.Pose(Rotation.identity(), np.zeros(3), covariance, free, 0.0)
-    return vb.Location(ball(), [pose], middle, 10, 0.0, [])
+    return vb.Location(ball(), [pose], middle, 10, np.zeros(20, dtype=bool), 0.0, [])
 
 
 def test_an_uncertain_pose_counts(shape):

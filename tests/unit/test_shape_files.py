@@ -267,3 +267,7 @@ def test_the_next_sweep_of_a_case(contacts, tmp_path, capsys):
     text = vibrissa(capsys, "next", shape, case, "--tolerance", "1e-3").out
     assert "2 sweeps, 0 of them refused" in text
     assert "% not known to 0.001 m" in text
+    assert "touches nothing" not in text
+    case.write_text(CASE.replace("-0.05]", "-5.05]"))
+    text = vibrissa(capsys, "next", shape, case).out
+    assert text.count("touches nothing") == 2

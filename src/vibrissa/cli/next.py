@@ -104,6 +104,7 @@ def _summary(ranked: NextSweep, tolerance: float | None) -> dict[str, Any]:
                 "start": ranked.candidates.position[row, 0].tolist(),
                 "stop": ranked.candidates.position[row, -1].tolist(),
                 "status": vb.Status(ranked.status[row]).name,
+                "touches": bool(len(ranked.contacts[row])),
             }
             for row in ranked.order[:_SHOWN]
         ],
@@ -124,5 +125,6 @@ def _text(summary: dict[str, Any]) -> str:
         lines.append(
             f"  trail {each['trail']}, {start} to {stop} mm: less {gain}"
             + ("" if each["status"] == "OK" else f" ({each['status']})")
+            + ("" if each["touches"] else ", touches nothing")
         )
     return "\n".join(lines)

@@ -30,9 +30,10 @@ from vibrissa.shape.outliers import (
     agree_with_neighbours,
     doubtful,
     findings_of,
+    inside_out,
     mostly_outliers,
     outliers_of,
-    thinned,
+    unused,
 )
 from vibrissa.shape.posterior import Basis, Data, LeftOut, information, left_out
 from vibrissa.shape.prior import Ball, Expected, Folds, Scales, most_likely
@@ -172,12 +173,12 @@ def fit_shape(
         level, refuted = emptied(level, sites, fit.place, data.target, noise, lines, given.extent)
         findings = findings + refuted
     outlier = outliers_of(given, judged, level, first.curvature)
-    findings = thinned(given) + mostly_outliers(given, outlier) + findings
+    findings = unused(given) + inside_out(given) + mostly_outliers(given, outlier) + findings
     return Shape(
         level,
         given.extent,
         sites,
-        given.spread(outlier),
+        given.outliers(outlier),
         findings,
         parts,
         given.rows,

@@ -1,7 +1,8 @@
 """Where a known object is: its pose from a few contacts.
 
 From a cold start (`starts`), Levenberg and Marquardt's method (`poses`) finds the minima of the
-misfit; each is followed as far as the contacts allow (`valleys`).
+misfit; contacts count less the farther they are off (Student's t) until outliers are known, and are
+left out or count fully then. Each minimum is followed as far as the contacts allow (`valleys`).
 """
 
 from collections.abc import Sequence
@@ -9,15 +10,15 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 from scipy.special import logsumexp
 from scipy.stats import chi2
 
 from vibrissa.contacts import Contacts
-from vibrissa.shape.poses import Equations, Poses, errors, fitted, likeness
+from vibrissa.shape.poses import Equations, Poses, equations, errors, fitted, likeness, students
 from vibrissa.shape.sites import Gathered, gathered, outside, spread_out
-from vibrissa.shape.starts import samples, starts
+from vibrissa.shape.starts import samples, starts, turned
 from vibrissa.shape.valleys import apart, bounds
 from vibrissa.surfaces import Placed, Surface
 
@@ -33,6 +34,12 @@ _TURNED = 0.5
 """Distance, relative to the extent, that contacts with perpendicular normals are apart as if by."""
 _WORSE = 1e-6
 """Probability of a misfit as large as the best pose's, below which a word is due."""
+_LEAST = 4
+"""Contacts without which none is an outlier: three determine a pose, and whatever the fourth says
+may be due to any of them.
+"""
+_MANY = 0.1
+"""Share of outliers above which a word is due: of a dozen contacts, two."""
 
 
 class Pose(NamedTuple):
@@ -47,7 +54,7 @@ class Pose(NamedTuple):
     free: Float[np.ndarray, "k 6"]
     """Directions of such a motion that the contacts leave open, as of a symmetric object."""
     misfit: float
-    """Sum of squared residuals in stated errors."""
+    """Sum of squared residuals in stated errors, without outliers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,17 +71,20 @@ class Location:
         (3,) about which covariances are: the middle of the contacts, within their errors.
     freedom
         Degrees of freedom of the misfit.
+    outlier
+        (n,) which of the given rows are contacts that the best pose contradicts, and leaves out.
     log_evidence
         Logarithm of the probability of the contacts if they are of this object in any pose, up to
         what is the same for all objects: what `identify` compares.
     warnings
-        One line if even the best pose does not fit.
+        One line each if even the best pose does not fit, or many contacts are outliers.
     """
 
     surface: Surface
     poses: list[Pose]
     middle: Float[np.ndarray, "3"]
     freedom: int
+    outlier: Bool[np.ndarray, "given"]
     log_evidence: float
     warnings: list[str]
 
@@ -147,59 +157,100 @@ def locate(surface: Surface, contacts: Contacts | Sequence[Contacts]) -> Locatio
 
 def located(surface: Surface, everything: Gathered) -> Location:
     """`locate` for contacts that were gathered."""
-    given = _spread(outside(everything), _MOST)
-    few = _spread(given, _FEW)
-    sampled = samples(surface, given.extent, np.random.default_rng(0))
-    poses, found = fitted(surface, few, starts(few, sampled))
-    if len(few.point) < len(given.point):
-        near = np.argsort(found.misfit)[:_KEPT]
-        poses, found = fitted(surface, given, poses.part(near))
-    first = int(np.argmin(found.misfit))
-    alike, least = likeness(given, found.part(slice(first, first + 1))), found.misfit[first]
-    freedom = 3 * len(given.point) - 6
-    fits = freedom <= 0 or bool(chi2.sf(alike.share * least, alike.share * freedom) > _WORSE)
-    listed, evidence = _listed(surface, given, poses, found, alike.factor, follow=fits)
+    whole = outside(everything)
+    rows = _spread(whole, _MOST)
+    given = whole.part(rows)
+    fits = _fits(surface, given)
+    best = fits[0]
+    sound = given.part(~best.gross)
+    alike, freedom = likeness(sound, best.found), 3 * len(sound.point) - 6
+    misfit, share = best.found.misfit[0], alike.share
+    explained = freedom <= 0 or bool(chi2.sf(share * misfit, share * freedom) > _WORSE)
+    listed, evidence = _listed(surface, given, fits, alike.factor, follow=explained)
     freedom += len(listed[0].free)
     warnings = []
-    if not fits:
+    if not explained:
         warnings.append(
-            f"the best pose misses the contacts by {np.sqrt(least / freedom):.2g} times their "
+            f"the best pose misses the contacts by {np.sqrt(misfit / freedom):.2g} times their "
             "stated errors: it may be another object, or deformed"
         )
-    return Location(surface, listed, given.point.mean(axis=0), freedom, evidence, warnings)
+    if best.gross.mean() > _MANY:
+        warnings.append(
+            f"{best.gross.sum()} of {len(best.gross)} contacts contradict the object where the "
+            "others put it"
+        )
+    outlier = np.zeros(len(whole.point), dtype=bool)
+    outlier[rows] = best.gross
+    return Location(
+        surface, listed, given.middle, freedom, whole.outliers(outlier), evidence, warnings
+    )
 
 
-def _spread(given: Gathered, most: int) -> Gathered:
+class _Fit(NamedTuple):
+    """A pose through the contacts that it does not contradict."""
+
+    pose: Poses
+    found: Equations
+    gross: Bool[np.ndarray, "n"]
+    """Outliers, which it leaves out."""
+    told: float
+    """Minus twice the logarithm of the probability of all contacts, up to their errors; that of
+    outliers by Student's distribution.
+    """
+
+
+def _fits(surface: Surface, given: Gathered) -> list[_Fit]:
+    """Robust fits that are likely enough, each with its own outliers, the best first."""
+    few = given.part(_spread(given, _FEW))
+    sampled = samples(surface, given.extent, np.random.default_rng(0))
+    poses, found = fitted(surface, few, starts(few, sampled), robust=True)
+    best = poses.part(np.array([np.argmin(found.misfit)]))
+    others, told = fitted(surface, few, turned(best, sampled), robust=True)
+    poses = Poses(*map(np.concatenate, zip(poses, others, strict=True)))
+    misfit = np.concatenate([found.misfit, told.misfit])
+    if len(few.point) < len(given.point):
+        near = np.argsort(misfit)[:_KEPT]
+        poses, found = fitted(surface, given, poses.part(near), robust=True)
+        misfit = found.misfit
+    fits = list[_Fit]()
+    for row in np.flatnonzero(misfit < misfit.min() + 2 * _LIKELY):
+        pose = poses.part(np.array([row]))
+        gross = equations(surface, given, pose).gross[0]
+        # If most are, it is the wrong object, and all count.
+        gross &= len(gross) - gross.sum() >= max(_LEAST, len(gross) / 2)
+        pose, plain = fitted(surface, given.part(~gross), pose)
+        others = equations(surface, given, pose).squares[0, gross]
+        fits.append(_Fit(pose, plain, gross, float(plain.misfit[0] + students(others).sum())))
+    return sorted(fits, key=lambda fit: fit.told)
+
+
+def _spread(given: Gathered, most: int) -> Int[np.ndarray, "rows"]:
     """At most so many contacts, far from one another by place and normal."""
     places = np.column_stack([given.point / given.extent, _TURNED * given.normal])
-    return given.part(spread_out(places, most))
+    return spread_out(places, most)
 
 
 def _listed(
-    surface: Surface,
-    given: Gathered,
-    poses: Poses,
-    found: Equations,
-    factor: float,
-    *,
-    follow: bool,
+    surface: Surface, given: Gathered, fits: list[_Fit], factor: float, *, follow: bool
 ) -> tuple[list[Pose], float]:
     """Poses that fit, the best first, and each only once; and the evidence of all together."""
-    middle, units = given.point.mean(axis=0), np.repeat([1.0, given.extent], 3)
-    misfit = found.misfit
-    order = np.argsort(misfit)
-    order = order[misfit[order] < misfit.min() + _LIKELY * factor]
+    units = np.repeat([1.0, given.extent], 3)
+    left = [fit for fit in fits if fit.told < fits[0].told + _LIKELY * factor]
     listed, evidence = list[Pose](), list[float]()
-    while len(order):
-        first = slice(order[0], order[0] + 1)
-        pose, least = poses.part(first), float(misfit[order[0]])
-        alike = likeness(given, found.part(first))
-        known = bounds(surface, given, pose, least, alike, follow=follow)
+    while left:
+        pose, found, gross, told = left[0]
+        sound, misfit = given.part(~gross), float(found.misfit[0])
+        alike = likeness(sound, found)
+        known = bounds(surface, sound, pose, misfit, alike, follow=follow)
         rotation, spread = Rotation.from_matrix(pose.turn[0]), known.covariance * units
-        free = known.free * units
-        listed.append(Pose(rotation, pose.shift[0], spread * units[:, None], free, least))
-        alone = np.linalg.slogdet(errors(given, found.curvature[first.start]))[1].sum()
-        evidence.append(known.log_volume - 0.5 * (least + alone) / factor)
-        size, away = apart(poses.part(order), pose, known, middle, given.extent)
-        order = order[(size > _SAME) & (away > _NEAR)]
+        listed.append(
+            Pose(rotation, pose.shift[0], spread * units[:, None], known.free * units, misfit)
+        )
+        every = equations(surface, given, pose).curvature[0]
+        alone = np.linalg.slogdet(errors(given, every))[1].sum()
+        evidence.append(known.log_volume - 0.5 * (told + alone) / factor)
+        others = Poses(*map(np.concatenate, zip(*(fit.pose for fit in left), strict=True)))
+        size, away = apart(others, pose, known, given.middle, given.extent)
+        new = (size > _SAME) & (away > _NEAR)
+        left = [fit for fit, use in zip(left, new, strict=True) if use]
     return listed, float(logsumexp(evidence))

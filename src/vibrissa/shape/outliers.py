@@ -33,6 +33,10 @@ _NEIGHBOURS, _APART = 8, 3.0
 """Neighbours that a contact is compared with, and deviations by which they may differ."""
 _ROUND = 0.05
 """What surfaces that are neither planes nor balls leave of a chord, relative to its length."""
+_BESIDE = 0.5
+"""Sine of the angle up to which a chord lies beside a contact, and cosine from which a normal is
+opposite.
+"""
 _CONTRADICTED = 6.0
 """Deviations by which the contacts of a sweep, taken together, may miss what all others say."""
 _MOSTLY = 1 / 3
@@ -131,10 +135,39 @@ def findings_of(others: list[LeftOut], noise: Noise, sites: Sites, extent: float
     return _sweeps(others, noise, sites, extent) + _groups(sites, extent)
 
 
-def thinned(given: Gathered) -> list[str]:
-    """A line if not all contacts are used."""
-    said = f"one contact in {given.step} is used, as {len(given.point)} tell as much as all"
-    return [said] if given.step > 1 else []
+def unused(given: Gathered) -> list[str]:
+    """Lines if not all contacts are used."""
+    lines = list[str]()
+    if given.step > 1:
+        lines.append(
+            f"one contact in {given.step} is used, as {len(given.point)} tell as much as all"
+        )
+    if given.far is not None and given.far.any():
+        lines.append(
+            f"contacts too far from all others to be of the object, and left out: "
+            f"{given.far.sum()}, the first in row {np.argmax(given.far)}"
+        )
+    return lines
+
+
+def inside_out(given: Gathered) -> list[str]:
+    """Sweeps whose normals point against those of the contacts beside them, one line each. The
+    other face of a plate is not beside a contact but behind it.
+    """
+    count = min(_LOOKED, len(given.point))
+    apart, near = KDTree(given.point).query(given.point, count)
+    other = given.sweep[near] != given.sweep[:, None]
+    chord = given.point[near] - given.point[:, None]
+    other &= np.abs(np.einsum("nki,ni->nk", chord, given.normal)) < _BESIDE * apart
+    other &= np.cumsum(other, axis=1) <= _NEIGHBOURS
+    cosine = np.einsum("nki,ni->nk", given.normal[near], given.normal)
+    against = np.all((cosine < -_BESIDE) | ~other, axis=1) & np.any(other, axis=1)
+    total, wrong = np.bincount(given.sweep), np.bincount(given.sweep, weights=against)
+    return [
+        f"sweep {sweep}: normals of {wrong[sweep]:.0f} of its {total[sweep]} contacts point "
+        "against those of the sweeps beside it; they should point out of the object"
+        for sweep in np.flatnonzero(wrong > _MOSTLY * np.maximum(total, 1))
+    ]
 
 
 def mostly_outliers(given: Gathered, outlier: Bool[np.ndarray, "n"]) -> list[str]:

@@ -10,12 +10,12 @@ Small ones are the same as screws, whose exponential also describes large ones (
 """
 
 from collections.abc import Callable, Iterator
-from functools import partial
 from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 
 from vibrissa.shape.noise import Noise, columns_of, lifted
 from vibrissa.shape.sites import Gathered, deviations, single
@@ -88,9 +88,45 @@ class Equations(NamedTuple):
         """About each motion."""
         return np.swapaxes(self.slope, 1, 2) @ self.slope
 
+    @property
+    def squares(self) -> Float[np.ndarray, "k n"]:
+        """Squared residual of each contact."""
+        return np.sum(self.residual.reshape(*self.curvature.shape[:2], 4) ** 2, axis=2)
+
+    @property
+    def gross(self) -> Bool[np.ndarray, "k n"]:
+        """Contacts that are farther off than stated errors explain."""
+        return self.squares > chi2.isf(_GROSS, 3)
+
+    @property
+    def robust(self) -> "Equations":
+        """As if errors had Student's distribution: squares of residuals are minus twice the
+        logarithm of its density, and contacts count less the farther they are off.
+        """
+        count, rows, unknowns = self.slope.shape
+        square = np.maximum(self.squares, 1e-12)
+        told, slope = students(square), (_STUDENT + 3) / (_STUDENT + square)
+        residual = self.residual.reshape(count, -1, 4) * np.sqrt(told / square)[..., None]
+        factor = slope * np.sqrt(square / told)
+        slopes = self.slope.reshape(count, -1, 4, unknowns) * factor[..., None, None]
+        return self._replace(
+            residual=residual.reshape(count, rows), slope=slopes.reshape(count, rows, unknowns)
+        )
+
     def part(self, rows: Bool[np.ndarray, "k"] | Int[np.ndarray, "m"] | slice) -> "Equations":
         """Those of some poses."""
         return Equations(*(values[rows] for values in self))
+
+
+_STUDENT = 4.0
+"""Degrees of freedom of the contacts' errors, as of a surface fit."""
+_GROSS = 1e-3
+"""Probability of a contact's squared residual below which it is an outlier."""
+
+
+def students(square: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
+    """What a contact with such a squared residual counts under Student's distribution."""
+    return np.asarray((_STUDENT + 3) * np.log1p(square / _STUDENT))
 
 
 def equations(surface: Surface, given: Gathered, poses: Poses) -> Equations:
@@ -117,7 +153,7 @@ class Told(NamedTuple):
 
 def equations_of(told: Told, given: Gathered, poses: Poses) -> Equations:
     """Residuals with their slopes."""
-    count, turn, middle = len(poses.turn), poses.turn[:, None], given.point.mean(axis=0)
+    count, turn, middle = len(poses.turn), poses.turn[:, None], given.middle
     outward = (turn @ told.normal[..., None])[..., 0].reshape(-1, 3)
     # Along an edge the normal does not turn, so only large principal curvatures count less.
     principal, axes = np.linalg.eigh(0.5 * (told.curvature + np.swapaxes(told.curvature, 2, 3)))
@@ -227,12 +263,18 @@ def fitted(
     *,
     held: Float[np.ndarray, "k 6"] | None = None,
     steps: int = _STEPS,
+    robust: bool = False,
 ) -> tuple[Poses, Equations]:
     """Poses at the nearest minima of the misfit."""
+
+    def evaluate(poses: Poses) -> Equations:
+        found = equations(surface, given, poses)
+        return found.robust if robust else found
+
     return improved(
-        partial(equations, surface, given),
+        evaluate,
         start,
-        given.point.mean(axis=0),
+        given.middle,
         given.extent,
         held=held,
         steps=steps,

@@ -7,7 +7,6 @@ until outliers are known, and are left out or count fully then.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -23,10 +22,6 @@ from vibrissa.surfaces import Surface
 
 _MOST = 300
 """Contacts that count at most, the farthest from one another."""
-_STUDENT = 4.0
-"""Degrees of freedom of the contacts' errors, as of a surface fit."""
-_GROSS = 1e-3
-"""Probability of a contact's squared residual below which it is an outlier."""
 _FREE, _NULL = 1.0, 1e-3
 """Information along a direction below which nothing determines it, a deviation of one: a radian,
 the extent, or a factor of e; and share of such a direction in a parameter from which that is not
@@ -159,38 +154,28 @@ def fit_primitive(kind: type[Surface], contacts: Contacts | Sequence[Contacts]) 
         covariance,
         misfit,
         freedom,
-        whole.spread(outlier),
+        whole.outliers(outlier),
         [name for name, each in parameters.items() if np.isinf(each.deviation)],
         warnings,
     )
 
 
-def _equations(shape: Kind, given: Gathered, fits: Shaped, *, robust: bool) -> Equations:
-    """As for a known object; if robust, so that squares and gradients are those of Student's t."""
-    found = equations_of(told_of(shape, given, fits), given, Poses(fits.turn, fits.shift))
-    if not robust:
-        return found
-    count, rows, unknowns = found.slope.shape
-    residual = found.residual.reshape(count, -1, 4)
-    square = np.maximum(np.sum(residual**2, axis=2), 1e-12)
-    # −2 log of the density, and its slope by the square.
-    told = (_STUDENT + 3) * np.log1p(square / _STUDENT)
-    slope = (_STUDENT + 3) / (_STUDENT + square)
-    residual = residual * np.sqrt(told / square)[..., None]
-    factor = slope * np.sqrt(square / told)
-    slopes = found.slope.reshape(count, -1, 4, unknowns) * factor[..., None, None]
-    return found._replace(
-        residual=residual.reshape(count, rows), slope=slopes.reshape(count, rows, unknowns)
-    )
+def _equations(shape: Kind, given: Gathered, fits: Shaped) -> Equations:
+    """As for a known object."""
+    return equations_of(told_of(shape, given, fits), given, Poses(fits.turn, fits.shift))
 
 
 def _improved(
     shape: Kind, given: Gathered, start: Shaped, *, robust: bool, steps: int = 40
 ) -> tuple[Shaped, Equations]:
+    def evaluate(fits: Shaped) -> Equations:
+        found = _equations(shape, given, fits)
+        return found.robust if robust else found
+
     return improved(
-        partial(_equations, shape, given, robust=robust),
+        evaluate,
         start,
-        given.point.mean(axis=0),
+        given.middle,
         given.extent,
         steps=steps,
     )
@@ -201,11 +186,10 @@ def _settled(
 ) -> tuple[Shaped, Bool[np.ndarray, "n"]]:
     """The robust fit from the best of all guesses, and its outliers."""
     start = guesses(kind, given)
-    score = _equations(shape, given, start, robust=True).misfit
+    score = _equations(shape, given, start).robust.misfit
     fits, found = _improved(shape, given, start.part(np.argsort(score)[:_TRIED]), robust=True)
     best = fits.part(slice(*(int(np.argmin(found.misfit)) + np.arange(2))))
-    plain = _equations(shape, given, best, robust=False).residual.reshape(-1, 4)
-    gross = np.sum(plain**2, axis=1) > chi2.isf(_GROSS, 3)
+    gross = _equations(shape, given, best).gross[0]
     # If most are, it is the wrong kind, and all count.
     return best, gross & (gross.mean() < 0.5)
 
@@ -289,7 +273,7 @@ def _numbers(
 ) -> tuple[list[str], Float[np.ndarray, "p"], Float[np.ndarray, "p u"]]:
     """Names and values of parameters, and their slopes by the unknowns."""
     turn, shift, sizes = fit.turn[0], fit.shift[0], np.exp(fit.sizes[0])
-    middle, count = given.point.mean(axis=0), len(shape.names)
+    middle, count = given.middle, len(shape.names)
     move, spin = np.zeros((3, 6 + count)), np.zeros((3, 6 + count))
     move[:, :3] = -crossed((shift - middle)[None])[0]
     move[:, 3:6] = given.extent * np.eye(3)

@@ -14,7 +14,7 @@ from vibrissa.geometry.checks import finite_array, positive
 from vibrissa.shape.level import Level
 from vibrissa.shape.mesh import ShapeMesh, box_of, extracted, lattice_of
 from vibrissa.shape.occupancy import Occupancy, lattice_points, probability_inside
-from vibrissa.shape.sites import Sites
+from vibrissa.shape.sites import Sites, thickness
 from vibrissa.shape.stated import Stated, farthest
 
 if TYPE_CHECKING:
@@ -116,7 +116,8 @@ class Shape:
         Parameters
         ----------
         resolution
-            Edge length of the cells that are cut; by default a sixtieth of the extent.
+            Edge length of the cells that are cut; by default a sixtieth of the extent, or half the
+            thickness of a thin object, down to a two-hundredth.
         extrapolate
             Whether to return the whole surface, closed unless it leaves three times the contacts'
             box, rather than only what is seen.
@@ -129,7 +130,7 @@ class Shape:
         ImportError
             If libigl is not installed.
         """
-        step = self.extent / 60 if resolution is None else positive(resolution, "resolution")
+        step = self._fine() if resolution is None else positive(resolution, "resolution")
         known = _KNOWN * self.extent
         mesh = extracted(
             self.level,
@@ -141,6 +142,11 @@ class Shape:
             within=np.inf if extrapolate else farthest(known, self.extent),
         )
         return mesh if extrapolate else mesh.seen_part()
+
+    def _fine(self) -> float:
+        """Edge length of cells that no thin part of the object slips through."""
+        thick = thickness(self.sites.touched, self.sites.normal, self.extent)
+        return float(np.clip(thick / 2, self.extent / 200, self.extent / 60))
 
     def surface(self, resolution: float | None = None) -> "Surface":
         """The mean surface, closed where it was not seen, as an object to scan again.

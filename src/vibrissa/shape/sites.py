@@ -82,10 +82,14 @@ class Gathered(NamedTuple):
     """Whether covariances were given, not assumed."""
     extent: float
     """Diagonal of the box around all points."""
+    middle: Float[np.ndarray, "3"]
+    """Mean of all points."""
     step: int = 1
     """One in so many is used."""
     above: float = 0.0
     """How far the points lie in front of the surface."""
+    far: Bool[np.ndarray, "given"] | None = None
+    """Rows that hold contacts, but too far from all others to be of the object."""
 
     def part(self, rows: Any) -> "Gathered":
         """Some of the contacts."""
@@ -109,10 +113,10 @@ class Gathered(NamedTuple):
             above=self.above + above,
         )
 
-    def spread(self, values: np.ndarray) -> np.ndarray:
-        """Values of the contacts as values of the rows given: nothing elsewhere."""
-        rows = np.zeros(len(self.rows), dtype=values.dtype)
-        rows[self.rows] = values
+    def outliers(self, outlier: Bool[np.ndarray, "n"]) -> Bool[np.ndarray, "given"]:
+        """Which of the rows given are, if these contacts are, and those too far away."""
+        rows = np.zeros(len(self.rows), dtype=bool) if self.far is None else self.far.copy()
+        rows[self.rows] = outlier
         return rows
 
 
@@ -136,6 +140,24 @@ def room(given: Gathered) -> float:
     return float(np.quantile(radius.min(axis=1), _TIGHT, method="lower"))
 
 
+def thickness(
+    point: Float[np.ndarray, "n 3"], normal: Float[np.ndarray, "n 3"], extent: float
+) -> float:
+    """Least distance of faces that look opposite ways, one behind the other; for all but a few of
+    the contacts it is larger. Infinite if there are none.
+    """
+    every = slice(None, None, -(-len(point) // _SAMPLED))
+    point, normal = point[every], normal[every]
+    apart = point[:, None] - point
+    behind = np.einsum("mni,mi->mn", apart, normal)
+    opposite = np.minimum(behind, behind.T) > _CLEAR * extent
+    opposite &= normal @ normal.T < _OPPOSITE
+    opposite &= np.sum(apart**2, axis=2) - behind**2 < (_ASIDE * extent) ** 2
+    return float(
+        np.quantile(np.where(opposite, behind, np.inf).min(axis=1), _TIGHT, method="lower")
+    )
+
+
 _SAMPLED = 1000
 """Contacts that are compared, at most."""
 _CLEAR = 0.005
@@ -145,6 +167,12 @@ far more than errors, and far less than the height at which contacts are used.
 _TURNED = 0.5
 """Cosine of the angle between their normals, at most: an outlier in front of a face is turned less.
 """
+_OPPOSITE = -0.7
+"""The same of faces of a plate; at an edge they are turned less."""
+_ASIDE = 0.1
+"""How far aside of being behind one another contacts may be, relative to the extent."""
+_THIN = 0.05
+"""Share of contacts on thinner parts, as at corners."""
 _TIGHT = 0.01
 """Share of contacts with less room: some in a hundred may be outliers."""
 
@@ -184,10 +212,12 @@ def gathered(contacts: Contacts | Sequence[Contacts]) -> Gathered:
     Raises
     ------
     ValueError
-        If there are too few, or all lie in one place.
+        If there are too few, all lie in one place, or a covariance has a negative eigenvalue.
     """
     parts = several(contacts)
     sound = [_sound(part) for part in parts]
+    far = _far(parts, sound)
+    sound = [one & ~other for one, other in zip(sound, far, strict=True)]
     step = max(-(-sum(int(rows.sum()) for rows in sound) // _LARGEST), 1)
     columns = [_columns(part, use, step) for part, use in zip(parts, sound, strict=True)]
     rows = np.concatenate([column[0] for column in columns] or [np.zeros(0, dtype=bool)])
@@ -208,7 +238,45 @@ def gathered(contacts: Contacts | Sequence[Contacts]) -> Gathered:
     known = all(part.covariance is not None for part in parts)
     order = np.arange(len(point), dtype=float)
     sweep = np.concatenate(sweeps)
-    return Gathered(rows, point, normal, np.concatenate(joint), sweep, order, known, extent, step)
+    covariance, middle = np.concatenate(joint), point.mean(axis=0)
+    return Gathered(
+        rows,
+        point,
+        normal,
+        covariance,
+        sweep,
+        order,
+        known,
+        extent,
+        middle,
+        step,
+        far=np.concatenate(far),
+    )
+
+
+def _far(parts: list[Contacts], sound: list[Bool[np.ndarray, "_"]]) -> list[Bool[np.ndarray, "_"]]:
+    """A few contacts that lie farther from all others than these are apart. They would set the
+    scale of everything.
+    """
+    found = [np.zeros_like(rows) for rows in sound]
+    used = [part.point.reshape(-1, 3)[rows] for part, rows in zip(parts, sound, strict=True)]
+    point = np.concatenate([*used, np.zeros((0, 3))])
+    most = int(_STRAY * len(point))
+    if most:
+        away = np.abs(point - np.median(point, axis=0)).max(axis=1)
+        rest = point[np.argsort(away, kind="stable")[:-most]]
+        low, high = rest.min(axis=0), rest.max(axis=0)
+        outside = np.maximum(low - point, point - high).max(axis=1)
+        far = outside > max((high - low).max(), _TINY)
+        ends = np.cumsum([len(points) for points in used])[:-1]
+        for here, rows, flags in zip(found, sound, np.split(far, ends), strict=True):
+            here[rows] = flags
+    return found
+
+
+_STRAY = 0.02
+"""Share of contacts that may be left out as too far away: of fewer than fifty, none."""
+_TINY = 1e-300
 
 
 def _sound(part: Contacts) -> Bool[np.ndarray, "n"]:
@@ -247,17 +315,38 @@ def _sweep_of(part: Contacts) -> Int[np.ndarray, "n"]:
 def _joint(part: Contacts, use: np.ndarray, extent: float) -> Float[np.ndarray, "n 6 6"]:
     """Covariance of point and normal together, as far as it is given."""
     joint = np.zeros((int(use.sum()), 6, 6))
-    given = part.covariance, part.normal_covariance
-    assumed = _POINT * extent, _NORMAL
-    for place, spread, usual in zip((slice(3), slice(3, 6)), given, assumed, strict=True):
+    given = {"covariance": _POINT * extent, "normal_covariance": _NORMAL}
+    for place, (name, usual) in zip((slice(3), slice(3, 6)), given.items(), strict=True):
+        spread = getattr(part, name)
         if spread is None:
             joint[:, place, place] = usual**2 * np.eye(3)
         else:
-            joint[:, place, place] = spread.reshape(-1, 3, 3)[use]
+            own = spread.reshape(-1, 3, 3)[use]
+            joint[:, place, place] = _checked(name, own, np.flatnonzero(use))
     if part.cross_covariance is not None:
         cross = np.nan_to_num(part.cross_covariance.reshape(-1, 3, 3)[use])
         joint[:, :3, 3:], joint[:, 3:, :3] = cross, np.swapaxes(cross, 1, 2)
     return joint
+
+
+def _checked(
+    name: str, spread: Float[np.ndarray, "n 3 3"], rows: Int[np.ndarray, "n"]
+) -> Float[np.ndarray, "n 3 3"]:
+    """The same, if no matrix has a negative eigenvalue."""
+    values = np.linalg.eigvalsh(spread)
+    wrong = np.flatnonzero(values[:, 0] < -_ROUNDED * np.abs(values[:, 2]))
+    if len(wrong):
+        raise ValueError(
+            f"contacts: {name}[{rows[wrong[0]]}] has the eigenvalue {values[wrong[0], 0]:.3g}; "
+            "allowed are none below 0"
+        )
+    return spread
+
+
+_ROUNDED = 0.1
+"""Negative eigenvalue, relative to the largest, up to which a matrix counts: of 150 000 smoothed
+contacts, three have one of up to 0.05.
+"""
 
 
 def pooled(given: Gathered) -> Sites:

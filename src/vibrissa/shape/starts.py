@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
 
 from vibrissa.shape.area import points_over
 from vibrissa.shape.poses import Poses
@@ -70,6 +71,18 @@ def starts(given: Gathered, sampled: Sampled) -> Poses:
         moved = np.linalg.norm(shift[left] - shift[best], axis=1) / given.extent
         left = left[np.arccos(np.clip(cosine, -1, 1)) + moved > _APART]
     return Poses(turn[chosen], shift[chosen])
+
+
+def turned(pose: Poses, sampled: Sampled) -> Poses:
+    """One with the object turned by quarter and half turns about its principal axes: what most of
+    its contacts may hardly tell apart, as a mug from one upside down.
+    """
+    middle = sampled.point.mean(axis=0)
+    axes = np.linalg.eigh(np.cov(sampled.point.T))[1]
+    angle = np.pi / 2 * np.array([1, 2, 3])
+    spin = Rotation.from_rotvec((angle[:, None, None] * axes.T).reshape(-1, 3)).as_matrix()
+    turn = pose.turn @ spin
+    return Poses(turn, pose.shift + (pose.turn - turn) @ middle)
 
 
 def _pairs(given: Gathered) -> list[tuple[int, int]]:

@@ -147,13 +147,16 @@ def _walked(
     factor: float,
 ) -> _Walked:
     """From a pose, each walk with its first step."""
-    middle, units = given.point.mean(axis=0), np.repeat([1.0, given.extent], 3)
+    middle, units = given.middle, np.repeat([1.0, given.extent], 3)
     numbers, motion = np.arange(len(steps)), steps.copy()
     motions, rises, begun, places = [], [], [], []
     while len(numbers):
-        size = np.linalg.norm(motion, axis=1, keepdims=True)
-        start = pose.times(len(motion)).screwed(motion * units, middle)
-        there, told = fitted(surface, given, start, held=motion / size, steps=_CORRECTED)
+        begin = np.linalg.norm(motion, axis=1)
+        start, held = (
+            pose.times(len(motion)).screwed(motion * units, middle),
+            motion / begin[:, None],
+        )
+        there, told = fitted(surface, given, start, held=held, steps=_CORRECTED)
         motion = there.screws(pose.times(len(motion)), middle) / units
         rise = told.misfit - misfit
         motions.append(motion)
@@ -161,8 +164,10 @@ def _walked(
         begun.append(numbers)
         places.append(there)
         size = np.linalg.norm(motion, axis=1)
-        on = (rise < _BARRIER * factor) & (_GROWTH * size < _FARTHEST)
-        numbers, motion = numbers[on], _GROWTH * motion[on]
+        # A place may be drawn back; the walk goes on from as far as it was.
+        farther = _GROWTH * np.maximum(size, begin)
+        on = (rise < _BARRIER * factor) & (farther < _FARTHEST)
+        numbers, motion = numbers[on], (motion * (farther / size)[:, None])[on]
     motion, rise, walk = (np.concatenate(part) for part in (motions, rises, begun))
     poses = Poses(*(np.concatenate(part) for part in zip(*places, strict=True)))
     # Within three deviations nothing else is expected than what the walk has seen.
@@ -185,7 +190,7 @@ def _scatter(
     factor: float,
 ) -> Float[np.ndarray, "6 6"]:
     """Mean square, by probability, of how far minima along a free direction are off it."""
-    middle, units = given.point.mean(axis=0), np.repeat([1.0, given.extent], 3)
+    middle, units = given.middle, np.repeat([1.0, given.extent], 3)
     motion = np.linspace(-np.pi, np.pi, _ALONG)[:, None] * direction * units
     there, told = fitted(surface, given, pose.times(_ALONG).screwed(motion, middle), steps=_SUNK)
     rise = told.misfit - misfit

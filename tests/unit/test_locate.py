@@ -3,6 +3,7 @@ and what symmetry leaves open.
 """
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from scipy.stats import chi2
 from touched import NORMAL, POINT, on_surface
 
 import vibrissa as vb
+from vibrissa.shape import valleys
 from vibrissa.shape.poses import Poses, equations
 from vibrissa.shape.sites import gathered
 
@@ -174,6 +176,22 @@ def test_how_far_a_can_may_slide_if_neither_end_was_touched():
             free = np.linalg.norm(pose.free[:, 3:] @ axis) > top
             covered.append(free or abs(slide) < 3 * known)
         assert any(covered)
+
+
+def test_walks_end_where_places_are_drawn_back(monkeypatch):
+    rng = np.random.default_rng(9)
+    contacts, turn, shift = touched(ELLIPSOID, around(rng, 12), rng)
+    given, pose = gathered(contacts), Poses(turn.as_matrix()[None], shift[None])
+
+    def halfway(surface, given, start, **_):
+        begin = pose.times(len(start.turn))
+        motion = 0.5 * start.screws(begin, given.middle)
+        return begin.screwed(motion, given.middle), SimpleNamespace(misfit=np.zeros(len(motion)))
+
+    monkeypatch.setattr(valleys, "fitted", halfway)
+    found = valleys._walked(ELLIPSOID, given, pose, 0.0, 1e-3 * np.eye(6), 1.0)
+    # Each step is 1.6 times as long as the one before, up to 2.8.
+    assert np.bincount(found.begun).tolist() == [17] * 6
 
 
 def test_another_object_is_told():

@@ -133,8 +133,8 @@ def fit_shape(
     Raises
     ------
     ValueError
-        If fewer than three contacts can be used, all lie in one place, `swept` has no shape
-        (k, m, 3), or `length_scale` is not positive.
+        If fewer than three contacts can be used, all lie in one place, a covariance has a negative
+        eigenvalue, `swept` has no shape (k, m, 3), or `length_scale` is not positive.
 
     Notes
     -----

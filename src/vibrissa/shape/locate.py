@@ -140,8 +140,8 @@ def locate(surface: Surface, contacts: Contacts | Sequence[Contacts]) -> Locatio
     Raises
     ------
     ValueError
-        If fewer than three contacts can be used, or nothing is found of the object about its
-        origin.
+        If fewer than three contacts can be used, a covariance has a negative eigenvalue, nothing
+        is found of the object about its origin, or its level is not finite at the contacts.
     ImportError
         If the libraries of `vibrissa[mesh]` are not installed.
 
@@ -204,7 +204,7 @@ def _fits(surface: Surface, given: Gathered) -> list[_Fit]:
     few = given.part(_spread(given, _FEW))
     sampled = samples(surface, given.extent, np.random.default_rng(0))
     poses, found = fitted(surface, few, starts(few, sampled), robust=True)
-    best = poses.part(np.array([np.argmin(found.misfit)]))
+    best = poses.part(np.array([np.argmin(np.nan_to_num(found.misfit, nan=np.inf))]))
     others, told = fitted(surface, few, turned(best, sampled), robust=True)
     poses = Poses(*map(np.concatenate, zip(poses, others, strict=True)))
     misfit = np.concatenate([found.misfit, told.misfit])
@@ -212,8 +212,10 @@ def _fits(surface: Surface, given: Gathered) -> list[_Fit]:
         near = np.argsort(misfit)[:_KEPT]
         poses, found = fitted(surface, given, poses.part(near), robust=True)
         misfit = found.misfit
+    if not np.isfinite(misfit).any():
+        raise ValueError("surface: its level is not finite at the contacts")
     fits = list[_Fit]()
-    for row in np.flatnonzero(misfit < misfit.min() + 2 * _LIKELY):
+    for row in np.flatnonzero(misfit < np.nanmin(misfit) + 2 * _LIKELY):
         pose = poses.part(np.array([row]))
         gross = equations(surface, given, pose).gross[0]
         # If most are, it is the wrong object, and all count.

@@ -33,6 +33,8 @@ _NEIGHBOURS, _APART = 8, 3.0
 """Neighbours that a contact is compared with, and deviations by which they may differ."""
 _ROUND = 0.05
 """What surfaces that are neither planes nor balls leave of a chord, relative to its length."""
+_COMPARED = 2000
+"""Contacts that are compared with their neighbours' normals, at most."""
 _BESIDE = 0.5
 """Sine of the angle up to which a chord lies beside a contact, and cosine from which a normal is
 opposite.
@@ -154,19 +156,20 @@ def inside_out(given: Gathered) -> list[str]:
     """Sweeps whose normals point against those of the contacts beside them, one line each. The
     other face of a plate is not beside a contact but behind it.
     """
-    count = min(_LOOKED, len(given.point))
-    apart, near = KDTree(given.point).query(given.point, count)
-    other = given.sweep[near] != given.sweep[:, None]
-    chord = given.point[near] - given.point[:, None]
-    other &= np.abs(np.einsum("nki,ni->nk", chord, given.normal)) < _BESIDE * apart
-    other &= np.cumsum(other, axis=1) <= _NEIGHBOURS
-    cosine = np.einsum("nki,ni->nk", given.normal[near], given.normal)
-    against = np.all((cosine < -_BESIDE) | ~other, axis=1) & np.any(other, axis=1)
-    total, wrong = np.bincount(given.sweep), np.bincount(given.sweep, weights=against)
+    some = slice(None, None, -(-len(given.point) // _COMPARED))
+    point, normal, sweep = given.point[some], given.normal[some], given.sweep[some]
+    apart, near = KDTree(given.point).query(point, min(_LOOKED, len(given.point)))
+    chord = given.point[near] - point[:, None]
+    beside = given.sweep[near] != sweep[:, None]
+    beside &= np.abs(np.einsum("nki,ni->nk", chord, normal)) < _BESIDE * apart
+    beside &= np.cumsum(beside, axis=1) <= _NEIGHBOURS
+    opposite = np.einsum("nki,ni->nk", given.normal[near], normal) < -_BESIDE
+    against = np.all(opposite | ~beside, axis=1) & np.any(beside, axis=1)
+    share = np.bincount(sweep, against) / np.maximum(np.bincount(sweep), 1)
     return [
-        f"sweep {sweep}: normals of {wrong[sweep]:.0f} of its {total[sweep]} contacts point "
-        "against those of the sweeps beside it; they should point out of the object"
-        for sweep in np.flatnonzero(wrong > _MOSTLY * np.maximum(total, 1))
+        f"sweep {number}: {100 * share[number]:.0f} % of its normals point against those of the "
+        "sweeps beside it; they should point out of the object"
+        for number in np.flatnonzero(share > _MOSTLY)
     ]
 
 

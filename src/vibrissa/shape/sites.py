@@ -171,8 +171,6 @@ _OPPOSITE = -0.7
 """The same of faces of a plate; at an edge they are turned less."""
 _ASIDE = 0.1
 """How far aside of being behind one another contacts may be, relative to the extent."""
-_THIN = 0.05
-"""Share of contacts on thinner parts, as at corners."""
 _TIGHT = 0.01
 """Share of contacts with less room: some in a hundred may be outliers."""
 
@@ -267,7 +265,7 @@ def _far(parts: list[Contacts], sound: list[Bool[np.ndarray, "_"]]) -> list[Bool
         rest = point[np.argsort(away, kind="stable")[:-most]]
         low, high = rest.min(axis=0), rest.max(axis=0)
         outside = np.maximum(low - point, point - high).max(axis=1)
-        far = outside > max((high - low).max(), _TINY)
+        far = outside > (high - low).max()
         ends = np.cumsum([len(points) for points in used])[:-1]
         for here, rows, flags in zip(found, sound, np.split(far, ends), strict=True):
             here[rows] = flags
@@ -276,7 +274,6 @@ def _far(parts: list[Contacts], sound: list[Bool[np.ndarray, "_"]]) -> list[Bool
 
 _STRAY = 0.02
 """Share of contacts that may be left out as too far away: of fewer than fifty, none."""
-_TINY = 1e-300
 
 
 def _sound(part: Contacts) -> Bool[np.ndarray, "n"]:

@@ -152,10 +152,8 @@ def _walked(
     motions, rises, begun, places = [], [], [], []
     while len(numbers):
         begin = np.linalg.norm(motion, axis=1)
-        start, held = (
-            pose.times(len(motion)).screwed(motion * units, middle),
-            motion / begin[:, None],
-        )
+        held = motion / begin[:, None]
+        start = pose.times(len(motion)).screwed(motion * units, middle)
         there, told = fitted(surface, given, start, held=held, steps=_CORRECTED)
         motion = there.screws(pose.times(len(motion)), middle) / units
         rise = told.misfit - misfit
@@ -164,10 +162,12 @@ def _walked(
         begun.append(numbers)
         places.append(there)
         size = np.linalg.norm(motion, axis=1)
-        # A place may be drawn back; the walk goes on from as far as it was.
-        farther = _GROWTH * np.maximum(size, begin)
+        # From a place that was drawn back, the walk goes on straight, as far as it was.
+        forth = size >= begin
+        farther = _GROWTH * np.where(forth, size, begin)
+        way = np.where(forth[:, None], motion / np.maximum(size, begin)[:, None], held)
         on = (rise < _BARRIER * factor) & (farther < _FARTHEST)
-        numbers, motion = numbers[on], (motion * (farther / size)[:, None])[on]
+        numbers, motion = numbers[on], (farther[:, None] * way)[on]
     motion, rise, walk = (np.concatenate(part) for part in (motions, rises, begun))
     poses = Poses(*(np.concatenate(part) for part in zip(*places, strict=True)))
     # Within three deviations nothing else is expected than what the walk has seen.

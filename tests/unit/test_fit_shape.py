@@ -319,7 +319,7 @@ def test_a_sweep_inside_out_is_named(sweeps):
     contacts = rings(ELLIPSOID, np.random.default_rng(3), sweeps=sweeps)
     normal = np.where(contacts.sweep[:, None] == 2, -1, 1) * contacts.normal
     warnings = vb.fit_shape(replace(contacts, normal=normal)).warnings
-    assert "sweep 2: 100 % of its normals point against" in warnings[0]
+    assert any("sweep 2: 100 % of its normals point against" in line for line in warnings)
     assert not vb.fit_shape(contacts).warnings
 
 

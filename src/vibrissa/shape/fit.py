@@ -146,6 +146,7 @@ def fit_shape(
     """
     parts, lines = several(contacts), swept_points(swept)
     given = gathered(parts)
+    inwards = inside_out(given)
     length = None if length_scale is None else positive(length_scale, "length_scale")
     highest = min(_ABOVE * given.extent, _ROOM * room(given))
     expected = _expected(given, length)
@@ -173,7 +174,7 @@ def fit_shape(
         level, refuted = emptied(level, sites, fit.place, data.target, noise, lines, given.extent)
         findings = findings + refuted
     outlier = outliers_of(given, judged, level, first.curvature)
-    findings = unused(given) + inside_out(given) + mostly_outliers(given, outlier) + findings
+    findings = unused(given) + inwards + mostly_outliers(given, outlier) + findings
     return Shape(
         level,
         given.extent,

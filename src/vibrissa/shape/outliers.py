@@ -35,9 +35,9 @@ _ROUND = 0.05
 """What surfaces that are neither planes nor balls leave of a chord, relative to its length."""
 _COMPARED = 2000
 """Contacts that are compared with their neighbours' normals, at most."""
-_BESIDE = 0.5
-"""Sine of the angle up to which a chord lies beside a contact, and cosine from which a normal is
-opposite.
+_BESIDE, _CLOSE, _OPPOSITE = 0.2, 0.1, 0.5
+"""Sine of the angle to the tangent plane and distance, relative to the extent, up to which another
+contact is beside one, and cosine from which its normal is opposite.
 """
 _CONTRADICTED = 6.0
 """Deviations by which the contacts of a sweep, taken together, may miss what all others say."""
@@ -153,8 +153,8 @@ def unused(given: Gathered) -> list[str]:
 
 
 def inside_out(given: Gathered) -> list[str]:
-    """Sweeps whose normals point against those of the contacts beside them, one line each. The
-    other face of a plate is not beside a contact but behind it.
+    """Sweeps whose normals point against those of the contacts close beside them, one line each.
+    The other face of a wall is not beside a contact but behind it.
     """
     some = slice(None, None, -(-len(given.point) // _COMPARED))
     point, normal, sweep = given.point[some], given.normal[some], given.sweep[some]
@@ -162,13 +162,15 @@ def inside_out(given: Gathered) -> list[str]:
     chord = given.point[near] - point[:, None]
     beside = given.sweep[near] != sweep[:, None]
     beside &= np.abs(np.einsum("nki,ni->nk", chord, normal)) < _BESIDE * apart
+    beside &= apart < _CLOSE * given.extent
     beside &= np.cumsum(beside, axis=1) <= _NEIGHBOURS
-    opposite = np.einsum("nki,ni->nk", given.normal[near], normal) < -_BESIDE
-    against = np.all(opposite | ~beside, axis=1) & np.any(beside, axis=1)
-    share = np.bincount(sweep, against) / np.maximum(np.bincount(sweep), 1)
+    opposite = np.einsum("nki,ni->nk", given.normal[near], normal) < -_OPPOSITE
+    met = np.any(beside, axis=1)
+    total = np.bincount(sweep, met)
+    share = np.bincount(sweep, met & np.all(opposite | ~beside, axis=1)) / np.maximum(total, _FEW)
     return [
-        f"sweep {number}: {100 * share[number]:.0f} % of its normals point against those of the "
-        "sweeps beside it; they should point out of the object"
+        f"sweep {number}: {100 * share[number]:.0f} % of its normals point against those of other "
+        "sweeps beside them; they should point out of the object"
         for number in np.flatnonzero(share > _MOSTLY)
     ]
 

@@ -15,6 +15,7 @@ import vibrissa as vb
 from vibrissa.shape import valleys
 from vibrissa.shape.poses import Poses, equations
 from vibrissa.shape.sites import gathered
+from vibrissa.shape.starts import samples, turned
 
 ELLIPSOID = vb.surfaces.Ellipsoid(center=(0, 0, 0), semi_axes=(0.026, 0.021, 0.017))
 CAN = vb.surfaces.Cylinder(center=(0, 0, 0), axis=(0, 0, 1), radius=0.015, length=0.05)
@@ -113,6 +114,23 @@ def test_many_wrong_contacts_are_told():
     assert "3 of 14 contacts contradict" in found.warnings[0]
     pose, away = nearest(found, turn, shift)
     assert away @ np.linalg.solve(pose.covariance, away) < chi2.ppf(0.9999, 6)
+
+
+def test_half_turns_about_principal_axes_leave_an_ellipsoid_where_it_is():
+    rng = np.random.default_rng(10)
+    moved = ELLIPSOID.placed(Rotation.identity(), np.array([0.01, 0.0, 0.02]))
+    contacts, turn, shift = touched(ELLIPSOID, around(rng, 12), rng)
+    given, pose = gathered(contacts), Poses(turn.as_matrix()[None], shift[None])
+    # The same place of an object whose own axes begin elsewhere.
+    here = pose._replace(shift=pose.shift - pose.turn[0] @ [0.01, 0.0, 0.02])
+    others = turned(here, samples(moved, given.extent, np.random.default_rng(0)))
+    assert len(others.turn) == 9
+    off = np.abs(moved.distances(others.own(given.point))).max(axis=1)
+    half = np.trace(here.turn[0].T @ others.turn, axis1=1, axis2=2) < -0.99
+    assert half.sum() == 3
+    # The principal axes of some hundred points are some hundredths of a radian off.
+    assert off[half].max() < 1e-3
+    assert off[~half].min() > 2e-3
 
 
 def test_a_ball_may_turn_freely():

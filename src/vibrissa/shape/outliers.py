@@ -144,7 +144,7 @@ def unused(given: Gathered) -> list[str]:
         lines.append(
             f"one contact in {given.step} is used, as {len(given.point)} tell as much as all"
         )
-    if given.far is not None and given.far.any():
+    if given.far.any():
         lines.append(
             f"contacts too far from all others to be of the object, and left out: "
             f"{given.far.sum()}, the first in row {np.argmax(given.far)}"

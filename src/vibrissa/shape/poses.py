@@ -10,6 +10,7 @@ Small ones are the same as screws, whose exponential also describes large ones (
 """
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
@@ -220,11 +221,17 @@ def improved(
     *,
     held: Float[np.ndarray, "k u"] | None = None,
     steps: int = _STEPS,
+    robust: bool = False,
 ) -> tuple[Moved, Equations]:
     """Levenberg and Marquardt's method for many poses side by side, each damped until it gains; a
-    direction of each may be held, shifts in the extent.
+    direction of each may be held, shifts in the extent. If robust, the equations are those.
     """
-    found = evaluate(start)
+
+    def told_by(poses: Moved) -> Equations:
+        told = evaluate(poses)
+        return told.robust if robust else told
+
+    found = told_by(start)
     count, _, unknowns = found.slope.shape
     units = np.ones(unknowns)
     units[3:6] = extent
@@ -243,7 +250,7 @@ def improved(
         whole = normal + (ridge + 1e-300)[:, :, None] * np.eye(unknowns)
         step = np.linalg.solve(whole, pull[..., None])[..., 0] * units
         trial = before.moved(step, middle)
-        told = evaluate(trial)
+        told = told_by(trial)
         gained = here.misfit - told.misfit
         better = gained > 0
         for values, others in zip((*poses, *found), (*trial, *told), strict=True):
@@ -266,18 +273,14 @@ def fitted(
     robust: bool = False,
 ) -> tuple[Poses, Equations]:
     """Poses at the nearest minima of the misfit."""
-
-    def evaluate(poses: Poses) -> Equations:
-        found = equations(surface, given, poses)
-        return found.robust if robust else found
-
     return improved(
-        evaluate,
+        partial(equations, surface, given),
         start,
         given.middle,
         given.extent,
         held=held,
         steps=steps,
+        robust=robust,
     )
 
 

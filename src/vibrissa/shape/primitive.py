@@ -7,6 +7,7 @@ until outliers are known, and are left out or count fully then.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -168,16 +169,13 @@ def _equations(shape: Kind, given: Gathered, fits: Shaped) -> Equations:
 def _improved(
     shape: Kind, given: Gathered, start: Shaped, *, robust: bool, steps: int = 40
 ) -> tuple[Shaped, Equations]:
-    def evaluate(fits: Shaped) -> Equations:
-        found = _equations(shape, given, fits)
-        return found.robust if robust else found
-
     return improved(
-        evaluate,
+        partial(_equations, shape, given),
         start,
         given.middle,
         given.extent,
         steps=steps,
+        robust=robust,
     )
 
 

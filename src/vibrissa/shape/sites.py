@@ -84,12 +84,12 @@ class Gathered(NamedTuple):
     """Diagonal of the box around all points."""
     middle: Float[np.ndarray, "3"]
     """Mean of all points."""
+    far: Bool[np.ndarray, "given"]
+    """Rows that hold contacts, but too far from all others to be of the object."""
     step: int = 1
     """One in so many is used."""
     above: float = 0.0
     """How far the points lie in front of the surface."""
-    far: Bool[np.ndarray, "given"] | None = None
-    """Rows that hold contacts, but too far from all others to be of the object."""
 
     def part(self, rows: Any) -> "Gathered":
         """Some of the contacts."""
@@ -115,7 +115,7 @@ class Gathered(NamedTuple):
 
     def outliers(self, outlier: Bool[np.ndarray, "n"]) -> Bool[np.ndarray, "given"]:
         """Which of the rows given are, if these contacts are, and those too far away."""
-        rows = np.zeros(len(self.rows), dtype=bool) if self.far is None else self.far.copy()
+        rows = self.far.copy()
         rows[self.rows] = outlier
         return rows
 
@@ -237,18 +237,9 @@ def gathered(contacts: Contacts | Sequence[Contacts]) -> Gathered:
     order = np.arange(len(point), dtype=float)
     sweep = np.concatenate(sweeps)
     covariance, middle = np.concatenate(joint), point.mean(axis=0)
+    lost = np.concatenate(far)
     return Gathered(
-        rows,
-        point,
-        normal,
-        covariance,
-        sweep,
-        order,
-        known,
-        extent,
-        middle,
-        step,
-        far=np.concatenate(far),
+        rows, point, normal, covariance, sweep, order, known, extent, middle, lost, step
     )
 
 

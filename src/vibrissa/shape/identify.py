@@ -26,9 +26,11 @@ class Candidate(NamedTuple):
     """An object that contacts may belong to."""
 
     name: str
+    """As it was given."""
     probability: float
     """That it is this one, given that it is one of those compared."""
     location: Location
+    """Its poses that fit."""
 
 
 @dataclass(frozen=True, eq=False)

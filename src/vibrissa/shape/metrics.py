@@ -51,8 +51,11 @@ class ShapeErrors(NamedTuple):
     """Errors of a fitted surface: of what lies near a contact, of the rest, and of all."""
 
     touched: Errors
+    """Near a contact."""
     rest: Errors
+    """Elsewhere."""
     whole: Errors
+    """Of all."""
     share_touched: float
     """Share of the truth near a contact."""
     spurious: float

@@ -39,11 +39,13 @@ class Parameter(NamedTuple):
     """A number of a fitted primitive."""
 
     value: float
+    """The best."""
     deviation: float
     """Standard deviation; infinite if the contacts do not determine it."""
     low: float
+    """Lower end of the 95 % interval."""
     high: float
-    """Ends of the 95 % interval."""
+    """Upper end of it."""
 
 
 @dataclass(frozen=True, eq=False)

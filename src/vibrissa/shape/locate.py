@@ -46,9 +46,9 @@ class Pose(NamedTuple):
     """Where an object is: its points x lie at `rotation` x + `translation`."""
 
     rotation: Rotation
-    """From the object's axes to the contacts', as SciPy has rotations."""
+    """`scipy.spatial.transform.Rotation` from the object's axes to the contacts'."""
     translation: Float[np.ndarray, "3"]
-    """Of the object's origin."""
+    """Of the object's origin, in the contacts' unit of length."""
     covariance: Float[np.ndarray, "6 6"]
     """Of a small rotation vector about the contacts' middle [rad] and a shift there, world axes;
     nothing along directions that are free.

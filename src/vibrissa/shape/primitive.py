@@ -39,7 +39,7 @@ class Parameter(NamedTuple):
     """A number of a fitted primitive."""
 
     value: float
-    """The best."""
+    """Estimate, in the units of `PrimitiveFit.parameters`."""
     deviation: float
     """Standard deviation; infinite if the contacts do not determine it."""
     low: float

@@ -203,6 +203,7 @@ def test_a_sweep_that_misses_gains_nothing(known):
         ({"tolerance": 0.0}, r"tolerance = 0.*; allowed is"),
         ({"clearance": -1.0}, r"clearance = -1.*; allowed is"),
         ({"places": [[np.nan, 0, 0]]}, r"places\[0, 0\] = nan; allowed are finite"),
+        ({"places": np.zeros((0, 3))}, r"places is empty; allowed is"),
     ],
 )
 def test_bad_arguments_are_named(known, arguments, said):

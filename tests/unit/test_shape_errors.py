@@ -130,9 +130,12 @@ def test_wrong_arguments(shape, options, said):
         vb.shape_errors(shape, ball(), **options)
 
 
-def test_a_truth_elsewhere(shape):
-    with pytest.raises(ValueError, match="truth: nothing of it is near the contacts"):
-        vb.shape_errors(shape, ball(center=(5, 0, 0)), resolution=COARSE)
+@pytest.mark.parametrize(
+    "truth", [ball(center=(5, 0, 0)), ball(1000 * RADIUS)], ids=["elsewhere", "in millimetres"]
+)
+def test_a_truth_that_is_not_there(shape, truth):
+    with pytest.raises(ValueError, match="truth: nothing of it is near the contacts.*same unit"):
+        vb.shape_errors(shape, truth, resolution=COARSE)
 
 
 def test_the_model_itself_does_not_differ():

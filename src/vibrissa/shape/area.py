@@ -26,9 +26,9 @@ def points_over(
         If nothing of the object is found there: `said` names it and the place.
     """
     box = box_of(surface, near, reach, beyond)
-    if box is None:
-        raise ValueError(f"{said}; allowed is an object there")
-    triangles = outline(surface, *box)
+    triangles = np.zeros((0, 3, 3)) if box is None else outline(surface, *box)
+    if not len(triangles):
+        raise ValueError(f"{said}; allowed is an object there, in the same unit of length")
     area = np.linalg.norm(_doubled(triangles), axis=1)
     chosen = rng.choice(len(area), count, p=area / area.sum())
     weights = rng.dirichlet(np.ones(3), len(chosen))

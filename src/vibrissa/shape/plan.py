@@ -169,7 +169,7 @@ def next_sweep(
     ------
     ValueError
         If there is no candidate, they differ in length, the tolerance is not positive, clearance or
-        friction is negative, or a place is not finite.
+        friction is negative, or there is no place, or one is not finite.
     """
     trails = candidates if isinstance(candidates, Trail) else Trail.stack(list(candidates))
     if len(trails.shape) == 1:
@@ -177,6 +177,8 @@ def next_sweep(
     within = None if tolerance is None else positive(tolerance, "tolerance")
     keep = not_negative(clearance, "clearance")
     where = None if places is None else finite_array(places, "places", last=3, ndim=2)
+    if where is not None and not len(where):
+        raise ValueError("places is empty; allowed is at least one point")
     planned = _Planned.of(shape, within)
     gains = planned.gains if where is None else _Gains.of(shape, where, within)
     number = np.arange(trails.count, dtype=np.float64)

@@ -14,6 +14,7 @@ from touched import NORMAL, POINT, joined, on_surface, rings
 import vibrissa as vb
 from vibrissa.shape.kernel import covariance
 from vibrissa.shape.plan import _Gains, _Planned
+from vibrissa.shape.prior import Ball
 from vibrissa.shape.stated import Stated
 
 WIRE = vb.Rod.cylinder(length=0.05, radius=0.25e-3, youngs_modulus=206e9)
@@ -143,6 +144,40 @@ def test_sweeps_over_a_block_that_is_hardly_known_find_what_they_promise():
         taken.append(true[vb.next_sweep(shape, WIRE, lines[left], tolerance=2e-3).order[0]])
         best.append(true.max())
     assert sum(taken) > 0.75 * sum(best)
+
+
+def test_sweeps_along_a_side_that_was_not_touched_may_be_driven():
+    """Flat faces beside it go on, and do not reach the clamps there; closer ones may be inside."""
+    lines = vb.Trail.stack([stand(side, y) for side in SIDES for y in 0.006 * np.arange(-4, 5)])
+    rows = [3, 4, 5, 6, 21, 22, 24, 30, 33, 39, 40, 42, 48, 49, 50]
+    rng = np.random.default_rng(4)
+    shape = vb.fit_shape([felt(lines[row], rng, BLOCK) for row in rows])
+    beyond = lines[11:16]
+    assert np.all(vb.next_sweep(shape, WIRE, beyond).status == vb.Status.OK)
+    close = vb.Trail(0.3 * beyond.position, beyond.orientation)
+    assert np.all(vb.next_sweep(shape, WIRE, close).status == vb.Status.CLAMP_INSIDE)
+    # 52 mm from its middle, 37 mm from the face: half a mount's width and what is uncertain.
+    wide = vb.next_sweep(shape, WIRE, beyond, clearance=0.035)
+    assert np.all(wide.status == vb.Status.CLAMP_INSIDE)
+
+
+def test_the_mean_level_grows_smoothly_beyond_all_contacts():
+    rng = np.random.default_rng(0)
+    ball = Ball(np.array([0.01, 0, 0]), 0.02)
+    points = 0.03 * rng.normal(size=(200, 3))
+    contacts = ball.center + 0.021 * np.eye(3)
+    grown = ball.growing(contacts)
+    near = ball.at(points)[:, 0] < ball.at(contacts)[:, 0].max()
+    assert 10 < near.sum() < 190
+    assert np.array_equal(grown.at(points[near]), ball.at(points[near]))
+    assert np.all(grown.at(points[~near])[:, 0] > ball.at(points[~near])[:, 0])
+    step = 1e-6 * np.eye(3)
+    for each in (ball, grown):
+        moved = [each.at(points + axis) - each.at(points - axis) for axis in step]
+        slopes = np.stack(moved, axis=-1) / 2e-6
+        jets = each.at(points)
+        assert np.allclose(slopes[:, 0], jets[:, 1:], atol=1e-7)
+        assert np.allclose(slopes[:, 1:], each.curvature(points), rtol=1e-6, atol=1e-3)
 
 
 def test_a_rod_that_is_driven_deep_is_expected_where_it_enters():

@@ -12,7 +12,7 @@ counts, on average over the mean surface and a lower one.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -69,6 +69,10 @@ _KEPT = 300
 """Contacts so far that tell whether a place is between contacts."""
 _RISK = 0.05
 """Probability of the clamp being inside the object that is not taken."""
+_REACHED = 5
+"""Places from the clamp to where its clearance ends that are looked at: beyond the contacts the
+level is no distance.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,6 +178,7 @@ def next_sweep(
     trails = candidates if isinstance(candidates, Trail) else Trail.stack(list(candidates))
     if len(trails.shape) == 1:
         trails = Trail.stack([trails])
+    shape = _ending(shape)
     within = None if tolerance is None else positive(tolerance, "tolerance")
     keep = not_negative(clearance, "clearance")
     where = None if places is None else finite_array(places, "places", last=3, ndim=2)
@@ -214,6 +219,16 @@ def next_sweep(
             contacts[row] = points
     order = np.lexsort((-gain, ~scanned, status != Status.OK))
     return NextSweep(trails, order, gain, gains.unknown, status, scanned, contacts)
+
+
+def _ending(shape: Shape) -> Shape:
+    """The surface as planning expects it: it ends beyond the contacts, also where flat faces would
+    lead it on to the clamps on a side that was not touched. Of 48 states of two blocks, the best
+    sweep was refused there in 15 to 23 % otherwise.
+    """
+    level = shape.level
+    growing = level.ball.growing(shape.sites.touched)
+    return replace(shape, level=level._replace(ball=growing))
 
 
 class _Planned(NamedTuple):
@@ -264,8 +279,12 @@ class _Planned(NamedTuple):
         level = _level(self.surface, trails.position)
         row = np.argmin(level, axis=1)
         closest = np.take_along_axis(trails.position, row[:, None, None], axis=1)[:, 0]
-        deviation = np.sqrt(shape.level.variance(closest))
-        return np.asarray(ndtr((clearance - level.min(axis=1)) / deviation) > _RISK)
+        towards = -shape.level.jets(closest)[:, 1:]
+        towards *= clearance / np.linalg.norm(towards, axis=1, keepdims=True)
+        reached = closest + np.linspace(0, 1, _REACHED)[:, None, None] * towards
+        flat = reached.reshape(-1, 3)
+        risk = ndtr(-shape.level.values(flat) / np.sqrt(shape.level.variance(flat)))
+        return np.asarray(risk.reshape(_REACHED, -1).max(axis=0) > _RISK)
 
     def straight(self, rod: Rod, trails: Trail) -> list[list[Float[np.ndarray, "_ 3"]]]:
         """For each trail, points of the surface next to where the free rod is deepest inside; then,

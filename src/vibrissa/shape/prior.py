@@ -17,6 +17,12 @@ _BLUNT = 0.3
 """Radius, relative to the ball's, within which the mean level is rounded off, as a distance has a
 kink at the centre.
 """
+_GROWTH = 2.0
+"""How fast the mean level grows beyond all contacts where that is asked for: by this, times the
+cube of the distance beyond, over the square of the ball's radius. Flat faces led it 35 mm beyond
+the side of a block of 42 mm that was not touched. With 1, levels where clamps could be were still
+7 to 16 mm there, with a deviation of 7 mm.
+"""
 _DIRECTED = 0.1
 """Length of a gradient below which its direction fades out: inside, where faces are equally far."""
 _ROUGH = 0.015, 0.3
@@ -28,11 +34,13 @@ millimetre at most, to an object of 80 mm.
 
 class Ball(NamedTuple):
     """The mean level: distance from a ball that fits all contacts. It grows outwards, so that
-    nothing is expected far from them.
+    nothing is expected far from them; faster than the distance, if asked, beyond all of them.
     """
 
     center: Float[np.ndarray, "3"]
     radius: float
+    held: float = np.inf
+    """Distance from the ball beyond which the level grows faster."""
 
     @classmethod
     def of(cls, sites: Sites) -> "Ball":
@@ -50,18 +58,34 @@ class Ball(NamedTuple):
             center = middle - radius * facing
         return cls(center, radius)
 
+    def growing(self, contacts: Float[np.ndarray, "k 3"]) -> "Ball":
+        """The same up to the distance of the farthest contact, growing faster beyond."""
+        return self._replace(held=max(0.0, float(self.at(contacts)[:, 0].max())))
+
     def at(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 4"]:
         """Values and gradients."""
-        apart, blunt = points - self.center, _BLUNT * self.radius
-        root = np.sqrt(np.sum(apart**2, axis=1) + blunt**2)
-        value = root - np.hypot(self.radius, blunt)
-        return np.column_stack([value, apart / root[:, None]])
+        apart, root, beyond = self._apart(points)
+        value = root - np.hypot(self.radius, _BLUNT * self.radius)
+        value += _GROWTH * self.radius * beyond**3
+        return np.column_stack([value, (1 + 3 * _GROWTH * beyond**2)[:, None] * apart])
 
     def curvature(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3 3"]:
         """Second derivatives."""
+        apart, root, beyond = (each[..., None, None] for each in self._apart(points))
+        radial = apart[:, :, 0] * np.swapaxes(apart[:, :, 0], 1, 2)
+        across = (1 + 3 * _GROWTH * beyond**2) / root * (np.eye(3) - radial)
+        return across + 6 * _GROWTH * beyond / self.radius * radial
+
+    def _apart(
+        self, points: Float[np.ndarray, "n 3"]
+    ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        """Gradients of the blunted distance from the centre, that distance, and how far beyond all
+        contacts it is, relative to the radius.
+        """
         apart, blunt = points - self.center, _BLUNT * self.radius
-        root = np.sqrt(np.sum(apart**2, axis=1) + blunt**2)[:, None, None]
-        return (np.eye(3) - apart[:, :, None] * apart[:, None] / root**2) / root
+        root = np.sqrt(np.sum(apart**2, axis=1) + blunt**2)
+        beyond = root - np.hypot(self.radius, blunt) - self.held
+        return apart / root[:, None], root, np.maximum(beyond, 0.0) / self.radius
 
 
 class Folds(NamedTuple):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -30,6 +31,11 @@ _STANDS = 24
 """Directions in the plane from which sweeps are tried, both ways each."""
 _DEPTHS = (0.2, 0.35, 0.5)
 """How far tips reach beyond the side of the object that is next to the clamp [L]."""
+_BESIDE = (0.0, -0.05, 0.05)
+"""Distances of sweeps from the plane [L]: where the object leans, rods slide out of it. Seven
+girths of an ellipsoid took 16 sweeps on average with those in it alone, 8 with these, and 11 with
+twice the distance.
+"""
 _BEFORE, _AFTER = 0.15, 0.6
 """How far beyond the object sweeps start and stop [L]: a bent rod comes off late."""
 _POSITIONS = 120
@@ -201,7 +207,7 @@ class _Plane(NamedTuple):
         return vectors - (vectors @ self.normal)[..., None] * self.normal
 
     def stands(self, rod: Rod, girth: Float[np.ndarray, "k 3"]) -> Trail:
-        """Straight sweeps in the plane, from all sides and both ways."""
+        """Straight sweeps along the plane, from all sides and both ways."""
         middle = (girth.min(axis=0) + girth.max(axis=0)) / 2
         middle = self.point + self.within(middle - self.point)
         apart, trails = girth - middle, []
@@ -211,8 +217,9 @@ class _Plane(NamedTuple):
             for along in (np.cross(self.normal, inward), -np.cross(self.normal, inward)):
                 low, high = np.min(apart @ along), np.max(apart @ along)
                 ends = low - _BEFORE * rod.length, high + _AFTER * rod.length
-                for depth in _DEPTHS:
+                for depth, beside in product(_DEPTHS, _BESIDE):
                     clamp = near - (1 - depth) * rod.length * inward
+                    clamp += beside * rod.length * self.normal
                     trails.append(
                         Trail.line(
                             start=clamp + ends[0] * along,

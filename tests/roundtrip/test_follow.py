@@ -26,16 +26,17 @@ ELLIPSOID = vb.surfaces.Ellipsoid(center=(0, 0, 0), semi_axes=(0.024, 0.019, 0.0
 
 
 @pytest.mark.parametrize(
-    ("surface", "tolerance"),
+    ("surface", "tolerance", "most"),
     [
-        (ELLIPSOID, 0.6e-3),
-        pytest.param(ELLIPSOID, 0.1e-3, marks=pytest.mark.slow),
-        pytest.param(BLOCK, 0.1e-3, marks=pytest.mark.slow),
-        pytest.param(vb.surfaces.Implicit(blob), 0.1e-3, marks=pytest.mark.slow),
+        (ELLIPSOID, 0.6e-3, 30),
+        pytest.param(ELLIPSOID, 0.1e-3, 14, marks=pytest.mark.slow),
+        pytest.param(BLOCK, 0.1e-3, 30, marks=pytest.mark.slow),
+        pytest.param(vb.surfaces.Implicit(blob), 0.1e-3, 30, marks=pytest.mark.slow),
     ],
     ids=["ellipsoid, roughly", "ellipsoid", "block", "blob"],
 )
-def test_girth_is_closed(surface, tolerance):
+def test_girth_is_closed(surface, tolerance, most):
+    """Off the ellipsoid's middle rods slide out of the plane: with sweeps in it alone it took 17."""
     surface = surface.placed(TURN)
     arm = vb.SimulatedArm(WIRE, surface, SENSOR, rng=np.random.default_rng(0))
     driven = []
@@ -47,7 +48,7 @@ def test_girth_is_closed(surface, tolerance):
     start = vb.Trail.line(
         start=(0.04, -0.048, 0.002), stop=(-0.045, -0.048, 0.002), count=50, axis=(0, 1, 0)
     )
-    girth = vb.follow(robot, WIRE, start, tolerance=tolerance)
+    girth = vb.follow(robot, WIRE, start, tolerance=tolerance, most=most)
     assert girth.closed
     assert girth.trails == driven
     assert np.allclose(girth.point[:, 2], 0.002, atol=1e-6)

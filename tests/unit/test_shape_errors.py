@@ -219,3 +219,15 @@ def test_colours_say_what_is_significant(shape):
 def test_wrong_arguments_of_a_comparison(shape, options, said):
     with pytest.raises(ValueError, match=said):
         vb.compare(shape, ball(), **options)
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1e3])
+def test_a_model_in_another_unit_is_none(shape, scale):
+    with pytest.raises(ValueError, match=r"model: its surface is at least .* unit of length"):
+        vb.compare(shape, ball(scale * RADIUS), resolution=COARSE)
+
+
+def test_a_model_that_was_not_placed_is_none(shape):
+    aside = ball().placed(translation=(2.5 * RADIUS, 0, 0))
+    with pytest.raises(ValueError, match=r"contacts' frame .* `vibrissa\.locate`"):
+        vb.compare(shape, aside, resolution=COARSE)

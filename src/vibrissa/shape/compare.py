@@ -23,6 +23,10 @@ UNCERTAIN = np.array([0.72, 0.72, 0.72])
 """Grey, as no colour between them is."""
 _MOST_SHOWN = 0.98
 """Share of the distances that a scale of colours holds."""
+_NO_PART = 0.1
+"""Distance from all of the model, relative to the extent of what was touched, beyond which no part
+of it was: what is wrong by that everywhere was not made after it.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +136,8 @@ def compare(
     Raises
     ------
     ValueError
-        If the tolerance is negative, the rate not between 0 and 1, or the resolution not positive.
+        If the tolerance is negative, the rate not between 0 and 1, the resolution not positive, or
+        no surface of the model is near the part: it is in another frame or unit of length.
     ImportError
         If the libraries of `vibrissa[mesh]` are not installed.
 
@@ -157,6 +162,13 @@ def compare(
         nothing = np.zeros(0)
         return Comparison(mesh, nothing, nothing, nothing, np.zeros(0, dtype=bool), tolerance, rate)
     distance, deviation = surface.distances(mesh.vertices), mesh.deviation
+    nearest = float(np.min(np.abs(distance)))
+    if nearest > _NO_PART * shape.extent:
+        raise ValueError(
+            f"model: its surface is at least {nearest:.3g} away from a part of {shape.extent:.3g}; "
+            "allowed is a model in the contacts' frame and unit of length, such as the result of "
+            "`vibrissa.locate`"
+        )
     if isinstance(model, Location):
         deviation = np.sqrt(deviation**2 + _of_pose(model, surface, mesh.vertices))
     beyond = np.stack([np.abs(distance) - tolerance, np.abs(distance) + tolerance]) / deviation

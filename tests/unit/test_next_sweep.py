@@ -120,6 +120,8 @@ def test_what_contacts_take_away_is_that_of_plain_conditioning(known):
     wanted = gains.unknown - stated.deviations(np.maximum(left, 0)).mean()
     assert gains.expected([new])[0] == pytest.approx(wanted, rel=1e-4)
     assert gains.unknown == pytest.approx(shape.deviation(places).mean(), rel=1e-6)
+    twice = np.concatenate([new[:3], new[:3]])
+    assert gains.expected([twice])[0] == pytest.approx(gains.expected([new[:3]])[0], rel=1e-9)
 
 
 BLOCK = vb.surfaces.Offset(

@@ -439,7 +439,7 @@ class _Gains(NamedTuple):
         for number, each in enumerate(few):
             if not len(each):
                 continue
-            columns = columns_of(which[first : first + len(each)])
+            columns = columns_of(np.unique(which[first : first + len(each)]))
             first += len(each)
             root = cholesky(among[np.ix_(columns, columns)], lower=True, check_finite=False)
             told = solve_triangular(root, cross[:, columns].T, lower=True, check_finite=False)

@@ -376,6 +376,7 @@ def test_contacts_in_one_place():
     ("options", "said"),
     [
         ({"length_scale": -1.0}, "length_scale = -1"),
+        ({"length_scale": 1e-9}, "length_scale = 1e-09, with contacts .* unit of length"),
         ({"swept": np.zeros((4, 3))}, r"swept has shape \(4, 3\); allowed is \(k, m, 3\)"),
         ({"swept": [np.zeros((4, 2, 2))]}, r"swept\[0\] has shape \(4, 2, 2\)"),
     ],

@@ -99,6 +99,10 @@ fixed: contacts on one side determine only its ratio to a power of the length.
 """
 _SPREAD = Scales(0.0, 0.8, 0.3, 0.0)
 """Of their logarithms."""
+_SHORTEST = 1e-3
+"""Of lengths that are given, relative to the extent: with twice as much, deviations of an ellipsoid
+were as large as itself, and with a fifty-millionth the covariance had no factor.
+"""
 _UNKNOWN_NOISE = 2.0
 """Spread of the noise's factor where contacts come without covariances."""
 
@@ -134,7 +138,8 @@ def fit_shape(
     ------
     ValueError
         If fewer than three contacts can be used, all lie in one place, a covariance has a negative
-        eigenvalue, `swept` has no shape (k, m, 3), or `length_scale` is not positive.
+        eigenvalue, `swept` has no shape (k, m, 3), or `length_scale` is not positive or less than a
+        thousandth of the contacts' extent.
 
     Notes
     -----
@@ -148,6 +153,11 @@ def fit_shape(
     given = gathered(parts)
     inwards = inside_out(given)
     length = None if length_scale is None else positive(length_scale, "length_scale")
+    if length is not None and length < _SHORTEST * given.extent:
+        raise ValueError(
+            f"length_scale = {length:.3g}, with contacts that extend over {given.extent:.3g}; "
+            f"allowed is at least {_SHORTEST} of that, in their unit of length"
+        )
     highest = min(_ABOVE * given.extent, _ROOM * room(given))
     expected = _expected(given, length)
     given, first, part = _first(given.raised(highest), expected)

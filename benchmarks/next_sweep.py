@@ -1,6 +1,6 @@
 """How many sweeps it takes until 95 % of an object is known within 2 mm: `uv run --extra mesh python
-benchmarks/next_sweep.py OBJECT [POLICY ...]`; OBJECT is block, ellipsoid or blob, and by default all
-policies are compared, which takes some 40 minutes.
+benchmarks/next_sweep.py OBJECT [POLICY ...]`; OBJECT is block, ellipsoid or blob, each POLICY the
+title of a row. All rows take some 40 minutes.
 
 From each of eight random first sweeps, the next is chosen from the same hundred random lines, all of
 which touch the object: by `vb.next_sweep`, with the tolerance of 2 mm or without; by an oracle,

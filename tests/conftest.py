@@ -9,7 +9,10 @@ import gc
 import os
 import re
 import sys
+from collections import Counter
+from functools import partial, wraps
 from pathlib import Path
+from types import CodeType, FunctionType
 from typing import Any, get_args
 
 import beartype
@@ -55,6 +58,44 @@ def _made_once(signature: Any) -> Any:
 
 beartype.beartype = _made_once
 
+_CALLS = Counter[CodeType]()
+_MOST_CALLS = 100
+"""Calls of a function in a test whose shapes are checked: later ones say the same, and checks take
+longer than most functions.
+"""
+_jaxtyped = jaxtyping.jaxtyped
+
+
+def _checked_at_first(function: Any = None, **typechecker: Any) -> Any:
+    """What jaxtyping makes of a function, and the function itself after so many calls and where
+    checks are off. A function within a function is defined by every call, and making its checks
+    takes half a millisecond.
+    """
+    if function is None:
+        return partial(_checked_at_first, **typechecker)
+    if not isinstance(function, FunctionType):
+        return _jaxtyped(function, **typechecker)
+    code = function.__code__
+
+    def off() -> bool:
+        return bool(jaxtyping.config.jaxtyping_disable) or _CALLS[code] >= _MOST_CALLS
+
+    if "<locals>" in function.__qualname__ and off():
+        return function
+    checked = _jaxtyped(function, **typechecker)
+
+    @wraps(function)
+    def called(*args: Any, **kwargs: Any) -> Any:
+        if off():
+            return function(*args, **kwargs)
+        _CALLS[code] += 1
+        return checked(*args, **kwargs)
+
+    return called
+
+
+jaxtyping.jaxtyped = _checked_at_first
+
 # Fresh examples in every run; one that fails is printed with what repeats it.
 settings.register_profile(
     "vibrissa", deadline=None, database=None, max_examples=25, print_blob=True
@@ -96,6 +137,7 @@ def pytest_runtest_protocol(item: pytest.Item) -> Any:
     test = item.nodeid.partition("[")[0]
     jaxtyping.config.update("jaxtyping_disable", test in _CHECKED or "unit" not in item.path.parts)
     _CHECKED.add(test)
+    _CALLS.clear()
     return (yield)
 
 

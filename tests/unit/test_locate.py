@@ -227,6 +227,36 @@ def test_too_few_contacts():
         vb.locate(ELLIPSOID, contacts)
 
 
+def test_errors_that_are_assumed_are_said():
+    rng = np.random.default_rng(5)
+    contacts, _, _ = touched(ELLIPSOID, around(rng, 12), rng)
+    plain = vb.Contacts(contacts.point, contacts.normal, contacts.covariance)
+    for given, count in ((contacts, 0), (plain, 1)):
+        said = [
+            vb.locate(ELLIPSOID, given).warnings,
+            vb.identify([ELLIPSOID], given).warnings,
+            vb.fit_primitive(vb.surfaces.Ellipsoid, given).warnings,
+        ]
+        assert [
+            sum("normal_covariance is not given" in line for line in each) for each in said
+        ] == [count] * 3
+
+
+def test_something_else_than_a_surface(no_shape_checks):
+    rng = np.random.default_rng(5)
+    contacts, _, _ = touched(ELLIPSOID, around(rng, 8), rng)
+    with pytest.raises(ValueError, match="surface is a ndarray; allowed is a surface"):
+        vb.locate(np.eye(3), contacts)
+
+
+def test_an_object_too_thin_to_be_found_is_said_to_be_so():
+    rng = np.random.default_rng(5)
+    contacts, _, _ = touched(ELLIPSOID, around(rng, 8), rng)
+    wire = vb.surfaces.Torus((0, 0, 0), (0, 0, 1), 0.05, 0.5e-3)
+    with pytest.raises(ValueError, match="near its origin, or it is too thin"):
+        vb.locate(wire, contacts)
+
+
 def test_an_object_far_from_its_origin():
     rng = np.random.default_rng(6)
     contacts, _, _ = touched(ELLIPSOID, around(rng, 8), rng)

@@ -15,7 +15,7 @@ from scipy.special import softmax
 
 from vibrissa.contacts import Contacts
 from vibrissa.shape.locate import Location, located
-from vibrissa.shape.sites import gathered
+from vibrissa.shape.sites import assumptions, gathered
 from vibrissa.surfaces import Surface
 
 _DOUBTFUL = 0.05
@@ -113,9 +113,6 @@ def identify(
         raise ValueError("surfaces: none given; allowed is at least one")
     given, found, failed = gathered(contacts), dict[str, Location](), dict[str, str]()
     for name, surface in named.items():
-        if not isinstance(surface, Surface):
-            failed[name] = f"is a {type(surface).__name__}; allowed is a surface"
-            continue
         try:
             location = located(surface, given)
         except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
@@ -132,7 +129,7 @@ def identify(
     ranked = sorted(
         map(Candidate, found, chances, found.values()), key=lambda one: -one.location.log_evidence
     )
-    return Identification(ranked, failed, _warnings(ranked, failed))
+    return Identification(ranked, failed, assumptions(given) + _warnings(ranked, failed))
 
 
 def _numbered(surfaces: Sequence[Surface]) -> dict[str, Surface]:

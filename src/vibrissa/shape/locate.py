@@ -6,7 +6,7 @@ left out or count fully then. Each minimum is followed as far as the contacts al
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +17,7 @@ from scipy.stats import chi2
 
 from vibrissa.contacts import Contacts
 from vibrissa.shape.poses import Equations, Poses, equations, errors, fitted, likeness, students
-from vibrissa.shape.sites import Gathered, gathered, outside, spread_out
+from vibrissa.shape.sites import Gathered, assumptions, gathered, outside, spread_out
 from vibrissa.shape.starts import samples, starts, turned
 from vibrissa.shape.valleys import apart, bounds
 from vibrissa.surfaces import Placed, Surface
@@ -130,8 +130,9 @@ def locate(surface: Surface, contacts: Contacts | Sequence[Contacts]) -> Locatio
     surface
         The object in its own axes, about their origin: a mesh or any other surface.
     contacts
-        With covariances, best `vibrissa.smooth(found).contacts`. Errors that are alike along a
-        sweep widen covariances, as far as residuals show it.
+        With covariances, best `vibrissa.smooth(found).contacts`; a warning says what is assumed of
+        those that are not given. Errors that are alike along a sweep widen covariances, as far as
+        residuals show it.
 
     Returns
     -------
@@ -142,8 +143,9 @@ def locate(surface: Surface, contacts: Contacts | Sequence[Contacts]) -> Locatio
     Raises
     ------
     ValueError
-        If fewer than three contacts can be used, a covariance has a negative eigenvalue, nothing
-        is found of the object about its origin, or its level is not finite at the contacts.
+        If the surface is something else, fewer than three contacts can be used, a covariance has a
+        negative eigenvalue, nothing is found of the object about its origin, or its level is not
+        finite at the contacts.
     ImportError
         If the libraries of `vibrissa[mesh]` are not installed.
 
@@ -154,11 +156,15 @@ def locate(surface: Surface, contacts: Contacts | Sequence[Contacts]) -> Locatio
     rad or half the extent is free (mechanics.md, "Where a known object is"). Of more than 120
     contacts, the 120 farthest from one another count.
     """
-    return located(surface, gathered(contacts))
+    given = gathered(contacts)
+    found = located(surface, given)
+    return replace(found, warnings=assumptions(given) + found.warnings)
 
 
 def located(surface: Surface, everything: Gathered) -> Location:
-    """`locate` for contacts that were gathered."""
+    """`locate` for contacts that were gathered; warnings say only how the object fits."""
+    if not isinstance(surface, Surface):
+        raise ValueError(f"surface is a {type(surface).__name__}; allowed is a surface")
     whole = outside(everything)
     rows = _spread(whole, _MOST)
     given = whole.part(rows)

@@ -18,7 +18,7 @@ from vibrissa.contacts import Contacts
 from vibrissa.shape.guesses import guesses
 from vibrissa.shape.kinds import Kind, Shaped, kind_of, told_of
 from vibrissa.shape.poses import Equations, Poses, crossed, equations_of, improved, likeness
-from vibrissa.shape.sites import Gathered, gathered, outside, spread_out
+from vibrissa.shape.sites import Gathered, assumptions, gathered, outside, spread_out
 from vibrissa.surfaces import Surface
 
 _MOST = 300
@@ -67,7 +67,8 @@ class PrimitiveFit:
     undetermined
         Names of parameters that these contacts leave open.
     warnings
-        One line each if the primitive does not fit, or too many contacts are outliers.
+        One line each if a covariance is assumed, the primitive does not fit, or too many contacts
+        are outliers.
     """
 
     surface: Surface
@@ -134,7 +135,7 @@ def fit_primitive(kind: type[Surface], contacts: Contacts | Sequence[Contacts]) 
     misfit = float(found.misfit[0])
     freedom = 3 * len(sound.point) - (len(inverse) - len(free))
     parameters, covariance = _parameters(*_numbers(shape, fit, sound), inverse, free)
-    warnings = []
+    warnings = assumptions(whole)
     if freedom > 0 and chi2.sf(share * misfit, share * freedom) < _WORSE:
         warnings.append(
             f"the fit misses the contacts by {np.sqrt(misfit / freedom):.2g} times their stated "

@@ -30,9 +30,9 @@ _LOST = 1.0
 """Error of a normal [rad] from which on a contact says nothing: errors are taken as linear, and the
 contacts of a rod that hardly touches, tens of millimetres off, would still pull as hard.
 """
-_POINT, _NORMAL = 2e-3, 0.01
+_USUAL = {"covariance": 2e-3, "normal_covariance": 0.01}
 """Standard deviations assumed where none are given: of points, relative to the extent, and of
-normals [rad]. Only their order of magnitude counts: the fit estimates a factor for them.
+normals [rad]. For a surface only their order of magnitude counts, as its fit estimates a factor.
 """
 
 
@@ -78,8 +78,8 @@ class Gathered(NamedTuple):
     sweep: Int[np.ndarray, "n"]
     order: Float[np.ndarray, "n"]
     """Number of each."""
-    known: bool
-    """Whether covariances were given, not assumed."""
+    assumed: tuple[str, ...]
+    """Names of covariances that were not given."""
     extent: float
     """Diagonal of the box around all points."""
     middle: Float[np.ndarray, "3"]
@@ -90,6 +90,11 @@ class Gathered(NamedTuple):
     """One in so many is used."""
     above: float = 0.0
     """How far the points lie in front of the surface."""
+
+    @property
+    def known(self) -> bool:
+        """Whether the points' covariances were given, not assumed."""
+        return "covariance" not in self.assumed
 
     def part(self, rows: Any) -> "Gathered":
         """Some of the contacts."""
@@ -118,6 +123,18 @@ class Gathered(NamedTuple):
         rows = self.far.copy()
         rows[self.rows] = outlier
         return rows
+
+
+def assumptions(given: Gathered) -> list[str]:
+    """A line for each covariance that was not given."""
+    point, normal = _USUAL.values()
+    of = f"points of {point * given.extent:.2g}", f"normals of {normal} rad"
+    return [
+        f"contacts: {name} is not given; errors of {each} are assumed, and intervals, misfit and "
+        "outliers are as good as that"
+        for name, each in zip(_USUAL, of, strict=True)
+        if name in given.assumed
+    ]
 
 
 def deviations(covariance: Float[np.ndarray, "n 6 6"]) -> Float[np.ndarray, "n"]:
@@ -233,13 +250,13 @@ def gathered(contacts: Contacts | Sequence[Contacts]) -> Gathered:
         values = np.unique(_sweep_of(part))
         sweeps.append(np.searchsorted(values, column[3]) + first)
         first += max(len(values), 1)
-    known = all(part.covariance is not None for part in parts)
+    assumed = tuple(name for name in _USUAL if any(getattr(part, name) is None for part in parts))
     order = np.arange(len(point), dtype=float)
     sweep = np.concatenate(sweeps)
     covariance, middle = np.concatenate(joint), point.mean(axis=0)
     lost = np.concatenate(far)
     return Gathered(
-        rows, point, normal, covariance, sweep, order, known, extent, middle, lost, step
+        rows, point, normal, covariance, sweep, order, assumed, extent, middle, lost, step
     )
 
 
@@ -303,11 +320,11 @@ def _sweep_of(part: Contacts) -> Int[np.ndarray, "n"]:
 def _joint(part: Contacts, use: np.ndarray, extent: float) -> Float[np.ndarray, "n 6 6"]:
     """Covariance of point and normal together, as far as it is given."""
     joint = np.zeros((int(use.sum()), 6, 6))
-    given = {"covariance": _POINT * extent, "normal_covariance": _NORMAL}
-    for place, (name, usual) in zip((slice(3), slice(3, 6)), given.items(), strict=True):
+    units = (slice(3), extent), (slice(3, 6), 1.0)
+    for (place, unit), (name, usual) in zip(units, _USUAL.items(), strict=True):
         spread = getattr(part, name)
         if spread is None:
-            joint[:, place, place] = usual**2 * np.eye(3)
+            joint[:, place, place] = (usual * unit) ** 2 * np.eye(3)
         else:
             own = spread.reshape(-1, 3, 3)[use]
             joint[:, place, place] = _checked(name, own, np.flatnonzero(use))

@@ -53,7 +53,8 @@ class Contacts:
     Raises
     ------
     ValueError
-        If a shape does not match that of the points, or a normal is not of unit length.
+        If a shape does not match that of the points, a normal is not of unit length, or a sweep,
+        kind or status is no whole number.
     """
 
     point: Float[np.ndarray, "*rows 3"]
@@ -87,8 +88,7 @@ class Contacts:
             name = field.name
             value, shape = given[name], rows + _SHAPES.get(name, ())
             if value is not None:
-                whole = name in ("sweep", "kind", "status")
-                value = np.asarray(value, dtype=np.int64 if whole else np.float64)
+                value = _whole(name, value) if name in _WHOLE else np.asarray(value, np.float64)
                 if value.shape != shape:
                     raise ValueError(
                         f"{name} has shape {value.shape}; allowed is {shape}, as point has"
@@ -172,6 +172,21 @@ _SHAPES: dict[str, tuple[int, ...]] = {
     "cross_covariance": (3, 3),
 }
 """Shape of a row's value, where it is not a scalar."""
+_WHOLE = ("sweep", "kind", "status")
+"""Fields whose values are whole numbers."""
+
+
+def _whole(name: str, value: ArrayLike) -> Int[np.ndarray, "..."]:
+    given = np.asarray(value)
+    with np.errstate(invalid="ignore"):
+        found = given.astype(np.int64)
+    wrong = np.argwhere(found != given)
+    if len(wrong):
+        row = tuple(map(int, wrong[0]))
+        raise ValueError(f"{name}{list(row)} = {given[row]}; allowed are whole numbers")
+    return found
+
+
 _UNIT = 1e-6
 """Allowed error of a unit vector's length: that of files in single precision."""
 

@@ -167,6 +167,12 @@ def test_a_single_face_of_a_box() -> None:
     np.testing.assert_allclose(found.surface.distances(point), 0, atol=3 * POINT)
 
 
+def test_a_ball_through_contacts_with_one_normal() -> None:
+    point = np.column_stack([np.linspace(0, 0.1, 30), np.zeros((30, 2))])
+    with pytest.raises(ValueError, match="contacts: their normals are all the same"):
+        vb.fit_primitive(SURFACES.Sphere, vb.Contacts(point, np.tile([0.0, 0, 1], (30, 1))))
+
+
 def test_contacts_of_a_ball_are_no_torus() -> None:
     rng = np.random.default_rng(0)
     normal = rng.normal(size=(25, 3))

@@ -379,6 +379,7 @@ def test_contacts_in_one_place():
         ({"length_scale": 1e-9}, "length_scale = 1e-09, with contacts .* unit of length"),
         ({"swept": np.zeros((4, 3))}, r"swept has shape \(4, 3\); allowed is \(k, m, 3\)"),
         ({"swept": [np.zeros((4, 2, 2))]}, r"swept\[0\] has shape \(4, 2, 2\)"),
+        ({"swept": np.full((4, 2, 3), np.nan)}, "swept: each rod has points that are not finite"),
     ],
 )
 def test_wrong_arguments(options, said):
@@ -390,6 +391,19 @@ def test_wrong_arguments(options, said):
 def test_resolution_that_would_take_all_memory(ellipsoid):
     with pytest.raises(ValueError, match="resolution = 1e-05"):
         ellipsoid.mesh(1e-5)
+
+
+def test_cells_that_the_object_would_slip_through(ellipsoid):
+    for lattice in (ellipsoid.mesh, ellipsoid.surface, ellipsoid.occupancy):
+        with pytest.raises(ValueError, match=r"resolution = 10; allowed is at most .* extent"):
+            lattice(10.0)
+
+
+@pytest.mark.parametrize(("value", "said"), [(np.nan, "nan"), (0.5, "0.5")])
+def test_sweeps_that_are_no_whole_numbers(value, said):
+    sweep = np.array([0, 0, value])
+    with pytest.raises(ValueError, match=rf"sweep\[2\] = {said}; allowed are whole numbers"):
+        vb.Contacts(np.eye(3), np.eye(3), sweep=sweep)
 
 
 def test_contacts_on_sharp_edges_are_kept():

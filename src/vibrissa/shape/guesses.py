@@ -17,13 +17,21 @@ _DIRECTIONS = 40
 
 
 def guesses(kind: type[Surface], given: Gathered) -> Shaped:
-    """First guesses, each a pose with sizes."""
+    """First guesses, each a pose with sizes.
+
+    Raises
+    ------
+    ValueError
+        If the normals are all the same, and say nothing of a radius.
+    """
     rng, count = np.random.default_rng(0), len(given.point)
     found = list(_GUESSES[kind](given.point, given.normal, given.extent))
     for _ in range(_PARTS if count >= 2 * _LEAST else 0):
         rows = rng.permutation(count)[: max(_LEAST, count // 2)]
         found += _GUESSES[kind](given.point[rows], given.normal[rows], given.extent)
     found = [each for each in found if all(np.all(np.isfinite(part)) for part in each)]
+    if not found:
+        raise ValueError("contacts: their normals are all the same; allowed are some that differ")
     turn, shift, sizes = (np.stack(part) for part in zip(*found, strict=True))
     least = 1e-3 * given.extent
     return Shaped(turn, shift, np.log(np.clip(sizes, least, 1e3 * given.extent)))
@@ -64,10 +72,17 @@ def _plane(point: np.ndarray, normal: np.ndarray, _: float) -> Iterator[Guess]:
 def _sphere(point: np.ndarray, normal: np.ndarray, _: float) -> Iterator[Guess]:
     """Points are c + r n; also some balls that a few wrong normals do not spoil."""
     unit, place = normal - normal.mean(axis=0), point - point.mean(axis=0)
-    radius = abs(float(np.sum(unit * place) / np.sum(unit**2)))
+    spread = float(np.sum(unit**2))
+    if spread < _PARALLEL:
+        return
+    radius = abs(float(np.sum(unit * place)) / spread)
     for factor in (1.0, 0.5, 2.0):
         center = np.median(point - factor * radius * normal, axis=0)
         yield np.eye(3), center, np.array([factor * radius])
+
+
+_PARALLEL = 1e-24
+"""Sum of squared differences of normals that is due to rounding."""
 
 
 def _cylinder(point: np.ndarray, normal: np.ndarray, extent: float) -> Iterator[Guess]:

@@ -125,12 +125,12 @@ class Shape:
         Raises
         ------
         ValueError
-            If the resolution is not positive, or so small that there would be more than fifty
-            million cells.
+            If the resolution is not positive, larger than the contacts' extent, or so small that
+            there would be more than fifty million cells.
         ImportError
             If libigl is not installed.
         """
-        step = self._fine() if resolution is None else positive(resolution, "resolution")
+        step = self._spacing(resolution, self._fine())
         known = _KNOWN * self.extent
         mesh = extracted(
             self.level,
@@ -142,6 +142,17 @@ class Shape:
             within=np.inf if extrapolate else farthest(known, self.extent),
         )
         return mesh if extrapolate else mesh.seen_part()
+
+    def _spacing(self, resolution: float | None, usual: float) -> float:
+        """Of a lattice, as asked for or as usual."""
+        if resolution is None:
+            return usual
+        if positive(resolution, "resolution") > self.extent:
+            raise ValueError(
+                f"resolution = {resolution:.3g}; allowed is at most the contacts' extent, "
+                f"{self.extent:.3g}"
+            )
+        return float(resolution)
 
     def _fine(self) -> float:
         """Edge length of cells that no thin part of the object slips through."""
@@ -160,12 +171,12 @@ class Shape:
         Raises
         ------
         ValueError
-            If the resolution is not positive, or so small that there would be more than fifty
-            million nodes.
+            If the resolution is not positive, larger than the contacts' extent, or so small that
+            there would be more than fifty million nodes.
         """
         from vibrissa.surfaces import Lattice  # noqa: PLC0415
 
-        step = self.extent / 50 if resolution is None else positive(resolution, "resolution")
+        step = self._spacing(resolution, self.extent / 50)
         origin, values = lattice_of(self.level, self.sites.touched, step, self.extent)
         return Lattice(origin=origin, spacing=step, values=values)
 
@@ -180,8 +191,8 @@ class Shape:
         Raises
         ------
         ValueError
-            If the resolution is not positive, or so small that there would be more than fifty
-            million voxels.
+            If the resolution is not positive, larger than the contacts' extent, or so small that
+            there would be more than fifty million voxels.
 
         Notes
         -----
@@ -190,7 +201,7 @@ class Shape:
         95 % interval reaches them. More than two voxels from the surface σ is interpolated between
         every other voxel.
         """
-        step = self.extent / 30 if resolution is None else positive(resolution, "resolution")
+        step = self._spacing(resolution, self.extent / 30)
         origin, counts = box_of(self.level, self.sites.touched, step, self.extent)
         points = lattice_points(origin, step, counts)
         away = self.level.distances(points, _NEXT * step, self.extent)

@@ -27,6 +27,12 @@ _APART = 0.15
 """Difference of two, as angle plus relative shift: Newton's method bridges less."""
 
 
+_NOTHING = (
+    "surface: nothing of it is near its origin, or it is too thin for its width to be found, as a "
+    "mesh of it is"
+)
+
+
 class Sampled(NamedTuple):
     """Points of the object, and its outward normals there."""
 
@@ -36,7 +42,7 @@ class Sampled(NamedTuple):
 
 def samples(surface: Surface, extent: float, rng: np.random.Generator) -> Sampled:
     """Points spread evenly over the object."""
-    origin, nothing = np.zeros((1, 3)), "surface: nothing of it is near its origin"
+    origin, nothing = np.zeros((1, 3)), _NOTHING
     reach, beyond, count = 20 * extent, 2 * extent, 8 * _SAMPLES
     points = points_over(surface, origin, reach, beyond, count, rng, said=nothing)
     points = points[spread_out(points, _SAMPLES)]

@@ -48,13 +48,13 @@ def swept_points(
     Raises
     ------
     ValueError
-        If an array has no shape (k, m, 3).
+        If an array has no shape (k, m, 3), or all rods have points that are not finite.
     """
     if swept is None:
         return None
     single = isinstance(swept, np.ndarray)
     parts = [swept] if single else list(swept)
-    points = []
+    points, given = [], 0
     for number, part in enumerate(parts):
         lines = np.asarray(part, dtype=np.float64)
         if lines.ndim != 3 or lines.shape[-1] != 3:
@@ -62,7 +62,10 @@ def swept_points(
             if lines.size:
                 raise ValueError(f"{name} has shape {lines.shape}; allowed is (k, m, 3)")
             continue
+        given += len(lines)
         points.append(lines[np.isfinite(lines).all(axis=(1, 2))].reshape(-1, 3))
+    if given and not any(map(len, points)):
+        raise ValueError("swept: each rod has points that are not finite; allowed are whole rods")
     return np.concatenate(points) if points else None
 
 

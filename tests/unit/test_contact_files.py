@@ -379,6 +379,13 @@ def test_another_suffix_is_refused(found: vb.Reconstruction, tmp_path: Path, nam
     assert list(tmp_path.iterdir()) == []
 
 
+def test_contacts_without_a_unit_are_refused(
+    found: vb.Reconstruction, tmp_path: Path, no_shape_checks: None
+) -> None:
+    with pytest.raises(ValueError, match="found is a Contacts; allowed are a Reconstruction"):
+        vb.write_contacts(tmp_path / "contacts.nc", found.contacts)
+
+
 def test_a_dataset_is_netcdf_only(found: vb.Reconstruction, tmp_path: Path) -> None:
     assert "allowed are .nc" in refusal(
         lambda: write_dataset(tmp_path / "a.csv", found.to_dataset())

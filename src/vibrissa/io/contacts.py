@@ -93,7 +93,14 @@ def write_contacts(
     InputError
         If the suffix is not one of these, the file cannot be written, or a library that the format
         needs is not installed.
+    ValueError
+        If `found` is something else, as `Contacts` that do not know their unit.
     """
+    if not isinstance(found, Reconstruction | Scan):
+        raise ValueError(
+            f"found is a {type(found).__name__}; allowed are a Reconstruction, smoothed or not, "
+            "and a Scan, one file each: `fit_shape` and `vibrissa fit` take those of several"
+        )
     file, unit = checked_output(path), "metre" if found.rod.units == "SI" else "rod length"
     writers: dict[str, Callable[[], object]] = {
         ".ply": lambda: cloud(_points(found), unit).write(str(file)),
